@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from oc_baseline_node.plots import draw_trajectories
 
-from ctrl_rl_core import draw_map, load_navigation_task, save_figure
+from ctrl_rl_core import load_navigation_task
 from oc_baseline_node import Mpc, formulate
 
 task = load_navigation_task("car_navigation")
@@ -21,9 +21,6 @@ if not trajectory.solved:
 print(f"{problem.horizon} steps of {trajectory.time_step} s, cost {trajectory.cost:.3g}")
 print(f"ends at {trajectory.states[-1].round(2)}")
 
-figure, axes = plt.subplots(figsize=(5, 5))
-draw_map(axes, task)
-axes.plot(*trajectory.states[:, problem.positions].T)
 picture = Path(sys.argv[1] if len(sys.argv) > 1 else "mpc_trajectory.png")
-save_figure(figure, picture)
+draw_trajectories(task, [trajectory.states], picture)
 print(f"picture: {picture}")

@@ -23,6 +23,7 @@ from koopman_lqr_controller import (
     save_policy,
 )
 
+PICTURES = ("closed_loop", "controllability", "costs", "observations", "poles", "prediction", "tsne")
 PARTS = {"policy", "poles", "true_poles", "controllability", "costs", "data", "prediction", "latents", "observations"}
 PARTS |= {"tsne", "closed_loop"}
 
@@ -52,9 +53,9 @@ def test_a_policy_with_a_world_is_analysed_whole(tmp_path: Path) -> None:
     assert found["observations"]["names"][0] == "position 0"
     spread = np.array(found["observations"]["spread"])
     assert found["observations"]["cost"] == pytest.approx(np.array(found["costs"]["Q"]) * spread**2, rel=1e-3, abs=1e-6)
-    pictures = sorted(file.stem for file in (tmp_path / "page").glob("*.png"))
-    assert pictures == ["closed_loop", "controllability", "costs", "observations", "poles", "prediction", "tsne"]
-    assert all(f"]({name}.png)" in text for name in pictures)
+    pictures = sorted(file.name for file in (tmp_path / "page").iterdir() if file.suffix in (".png", ".svg"))
+    assert [name[:-4] for name in pictures] == sorted(PICTURES)
+    assert all(f"]({name})" in text for name in pictures)
     assert page(found, "policy.safetensors", {}).count("](") == 0
 
 

@@ -41,7 +41,7 @@ def test_comparisons_run_and_share_their_runs(tmp_path: Path, capsys: pytest.Cap
     results = json.loads(file.read_text(encoding="utf-8"))
     assert list(results["figures"]["curves"]) == ["koopman", "network", "sac"]
     assert {row["method"] for row in results["rows"]} == {METHODS[name].label for name in ("koopman", "network", "sac")}
-    pictures = [tmp_path / f"koopman_figure_{number}_cartpole_swingup.png" for number in ("4.3", "4.8")]
+    pictures = [tmp_path / f"koopman_figure_{number}_cartpole_swingup.svg" for number in ("4.3", "4.8")]
     assert plot([*(str(each.with_suffix(".json")) for each in pictures), "--output", str(tmp_path)]) == 0
     assert all(picture.stat().st_size > 5000 for picture in pictures)
     assert "task-oriented Koopman" in capsys.readouterr().out

@@ -38,7 +38,7 @@ def test_a_run_leaves_policies_and_results(learnt: Path, tmp_path: Path) -> None
     assert max(rows[consolidated, "Riccati residual"]["values"]) < 1e-8
     assert [len(curve) for curve in results["figures"]["curves"]["steps"]] == [2]
     assert plot([str(learnt / "results.json"), "--output", str(tmp_path)]) == 0
-    assert (tmp_path / "results.png").stat().st_size > 10_000
+    assert (tmp_path / "results.svg").stat().st_size > 10_000
     folders = sorted(folder for folder in learnt.iterdir() if folder.is_dir())
     assert len(folders) == 1
     for folder in folders:
@@ -78,7 +78,7 @@ def test_calls_with_different_seeds_fill_one_file(tmp_path: Path) -> None:
     assert curves["curve"]["samples"] == [160.0], "20 actions of eight frames"
     assert [len(values) for values in curves["curve"]["values"]] == [1, 1, 1]
     assert plot([str(file), "--output", str(tmp_path)]) == 0
-    assert (tmp_path / "results.png").stat().st_size > 10_000
+    assert (tmp_path / "results.svg").stat().st_size > 10_000
     assert next((tmp_path / "0").glob("*-s*")).name.endswith("-s2")
 
 

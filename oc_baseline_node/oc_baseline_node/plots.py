@@ -6,18 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from ctrl_rl_core.plots import draw_map, draw_path, draw_values, picture, word_at
 from ctrl_rl_core.values.plane import plane_of
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Axis, NavigationTask, ValueFunction, draw_map, position_indices, save_figure
+from ctrl_rl_core import Axis, NavigationTask, ValueFunction, position_indices
 from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]
 _CELLS = 300
-_COLLISION = "#c6d3e3"
 
 
 def draw_heat_map(
@@ -25,7 +22,7 @@ def draw_heat_map(
 ) -> Array:
     """Draw V_oc over the plane of positions (Fig. 3.11) and return what is drawn (cells, cells), rows along y or z.
 
-    Colours span the values of the free space; where the body collides the map is pale.
+    Colours span the values of the free space; where the body collides the map is hatched.
 
     Args:
         value: Value function over the states of the task's system.
@@ -46,31 +43,22 @@ def draw_heat_map(
     states = plane.states(_centres(first, cells), _centres(second, cells), chosen)
     values = value.value(states)
     free = np.where(values > task.rewards.collision + 1e-6, values, np.nan)
-    figure, axes = plt.subplots(figsize=(6.4, 5.4), layout="constrained")
-    axes.set_facecolor(_COLLISION)
-    extent = (first.lower, first.upper, second.lower, second.upper)
-    shown = axes.imshow(free, origin="lower", extent=extent, cmap="YlOrRd", interpolation="nearest")
-    figure.colorbar(shown, label="$V^{oc}$ [reward]")
-    axes.set_title(f"{task.name}: " + ", ".join(f"{name} = {chosen.get(name, 0.0):.3g}" for name in plane.others))
-    _finish(figure, axes, task, path)
+    title = f"{task.name}: " + ", ".join(f"{name} = {chosen.get(name, 0.0):.3g}" for name in plane.others)
+    with picture(path, title, height=4.6) as (figure, ((axes,),)):
+        draw_map(axes, task)
+        shown = draw_values(axes, _centres(first, cells), _centres(second, cells), free, "return")
+        figure.colorbar(shown, label="$V^{oc}$ [reward]")
     return values
 
 
 def draw_trajectories(task: NavigationTask, states: Sequence[Array], path: Path) -> None:
-    """Draw trajectories (each (H+1, n)) among the task's obstacles."""
+    """Draw planned trajectories (each (H+1, n)) among the task's obstacles."""
     place = position_indices(task.system.build().state_names)
-    figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
-    for trajectory in states:
-        x, y = trajectory[:, place].T
-        axes.plot(x, y, ".-", markersize=3, linewidth=1)
-        axes.plot(x[0], y[0], "ko", markersize=4)
-    _finish(figure, axes, task, path)
-
-
-def _finish(figure: Figure, axes: Axes, task: NavigationTask, path: Path) -> None:
-    draw_map(axes, task)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    with picture(path, height=3.6, half=True) as (_, ((axes,),)):
+        draw_map(axes, task)
+        for trajectory in states:
+            draw_path(axes, trajectory[:, place], planned=True)
+            word_at(axes, "start", (float(trajectory[0, place[0]]), float(trajectory[0, place[1]])))
 
 
 def _centres(axis: Axis, cells: int) -> Array:

@@ -22,7 +22,6 @@ from oc_baseline_node.training.analysis.mismatch import (
     with_extra_mass,
 )
 from oc_baseline_node.training.experiments.runs import OcRun
-from oc_baseline_node.training.plots import draw_drives
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
 CAR = load_navigation_task("car_navigation")
@@ -119,13 +118,6 @@ def test_a_file_of_other_results_is_refused_in_one_line(tmp_path, capsys):
     assert words in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_drives_through_a_corridor_are_drawn(tmp_path):
-    corridor = load_navigation_task("curved_corridor")
-    paths = {"MPC": [{"outcome": "GOAL", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}], "learnt": []}
-    draw_drives(paths, corridor, tmp_path / "new" / "drives.png")
-    assert (tmp_path / "new" / "drives.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_path_learnt_in_another_task_is_not_drawn(tmp_path, capsys):

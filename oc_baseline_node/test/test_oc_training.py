@@ -63,7 +63,7 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     assert "PPO, OC baseline" in capsys.readouterr().out
     pictures = tmp_path / "pictures"
     assert plot([str(results), "--output", str(pictures)]) == 0
-    assert {"quad_trap_oc_ablation.png", "quad_trap_oc_advantages.png", "quad_trap_oc_entropy.png"} < {
+    assert {"quad_trap_oc_ablation.svg", "quad_trap_oc_advantages.svg", "quad_trap_oc_entropy.svg"} < {
         file.name for file in pictures.iterdir()
     }
     monkeypatch.setattr(
@@ -81,7 +81,7 @@ def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):
     results, where = tmp_path / "results.json", ["--output", str(tmp_path)]
     results.write_text(json.dumps({"figures": {**terms, **figures}}), encoding="utf-8")
     assert plot([str(results), "--task", str(own), *where]) == 0
-    assert (tmp_path / "my_trap_oc_ppo_paths.png").is_file()
+    assert (tmp_path / "my_trap_oc_paths.png").is_file()
     assert not capsys.readouterr().err
     assert plot([str(results), *where]) == 1
     assert "is of task 'my_trap', none of the suite's: give its file with --task" in capsys.readouterr().err

@@ -1,6 +1,6 @@
 """What a decision costs: a mixture policy's conditional, half of the robots asking, against the number of robots.
 
-python test/benchmarks/option_policy.py FILE.png draws it.
+python test/benchmarks/option_policy.py FILE.svg draws it.
 """
 
 from __future__ import annotations
@@ -54,16 +54,14 @@ def decision_time(robots: int) -> float:
 
 def draw(path: Path) -> None:
     """Write the picture of cost against number of robots."""
-    from matplotlib import pyplot as plt
+    from ctrl_rl_core.plots import OURS_COLOUR, name_at_end, picture
 
-    from ctrl_rl_core import save_figure
-
-    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
-    axes.plot(ROBOTS, [decision_time(robots) for robots in ROBOTS], "o-")
-    axes.axhline(1.5, color="0.6", linewidth=1, linestyle="--")
-    axes.set(xlabel="robots, half of them asking", ylabel="decision, median [ms]", ylim=(0.0, None))
-    axes.grid(alpha=0.3)
-    save_figure(figure, path)
+    times = [decision_time(robots) for robots in ROBOTS]
+    title = f"A decision takes {times[0]:.1f} ms for {ROBOTS[0]} robots, {times[-1]:.1f} ms for {ROBOTS[-1]}"
+    with picture(path, title, height=2.6) as (_, ((axes,),)):
+        axes.plot(ROBOTS, times, "o-", color=OURS_COLOUR)
+        name_at_end(axes, f"median of {DECISIONS}\ndecisions", times[-1], OURS_COLOUR)
+        axes.set(xlabel="robots, half of them asking", ylabel="decision [ms]", ylim=(0.0, None))
 
 
 if __name__ == "__main__":

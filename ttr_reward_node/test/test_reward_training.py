@@ -64,7 +64,8 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     assert json.loads(results.read_text(encoding="utf-8"))["figures"]["task"] == "quad_ttr"
     assert plot([str(results), "--output", str(tmp_path / "pictures")]) == 0
     assert sorted(file.name for file in (tmp_path / "pictures").iterdir()) == [
-        "quad_ttr_success.png",
+        "quad_ttr_success.svg",
+        "quad_ttr_turns.svg",
         "quad_ttr_visits.png",
     ]
     assert "ppo, sparse" in capsys.readouterr().out

@@ -95,13 +95,11 @@ def _train(options: Train) -> int:
 def _plot(options: Plot) -> int:
     from ctrl_rl_training.experiments.results import read_figures
 
-    from ctrl_rl_benchmarks.experiments.plots import LadderFigures, draw_ladder
+    from ctrl_rl_benchmarks.experiments.plots import draw_ladder
+    from ctrl_rl_benchmarks.experiments.results import LadderFigures
 
-    figures = read_figures(options.results, LadderFigures)
-    options.output.mkdir(parents=True, exist_ok=True)
-    picture = options.output / f"ladder_{options.learner}.png"
-    draw_ladder(figures, options.learner, picture)
-    print(f"picture    {picture}")
+    for picture in draw_ladder(read_figures(options.results, LadderFigures), options.learner, options.output):
+        print(f"picture    {picture}")
     return 0
 
 

@@ -26,10 +26,10 @@ class Hardness:
 
 @dataclass(frozen=True)
 class Page:
-    """Draw all tasks of the ladder on one page."""
+    """Draw all tasks of the ladder, six a picture."""
 
     output: Path = Path("docs/images/ladder_tasks.png")
-    """Picture to write."""
+    """Picture to write; the next six tasks are drawn beside it, as NAME_2."""
 
 
 def _hardness(options: Hardness) -> int:
@@ -54,10 +54,10 @@ def _hardness(options: Hardness) -> int:
 
 
 def _page(options: Page) -> int:
-    from ctrl_rl_benchmarks.ladder.page import draw_page
+    from ctrl_rl_benchmarks.ladder.page import draw_pages
 
-    draw_page([load_ladder_task(name) for name in (*LADDER, *PRACTICE)], options.output)
-    print(f"picture    {options.output}")
+    for picture in draw_pages([load_ladder_task(name) for name in LADDER], options.output):
+        print(f"picture    {picture}")
     return 0
 
 

@@ -1,56 +1,51 @@
-"""The figure of the ladder: success over samples, a panel for each task, a line for each way."""
+"""The figures of the ladder: success while learning, and what all seeds came to at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from ctrl_rl_training.experiments.figure_data import Figures, SuccessCurve
-from ctrl_rl_training.plots import draw_curve
-from matplotlib import pyplot as plt
-from pydantic import Field
+import numpy as np
+from ctrl_rl_core.plots import Panel, draw_ends, draw_learning, line_of
 
-from ctrl_rl_benchmarks.ways.methods import MAIN, WAYS
-from ctrl_rl_core import save_figure
+from ctrl_rl_benchmarks.ways.methods import WAYS
 
-_COLUMNS = 5
-_COLOURS = dict(
-    zip(
-        MAIN,
-        ("tab:red", "0.45", "tab:blue", "tab:orange", "tab:cyan", "tab:purple", "tab:brown", "tab:green"),
-        strict=True,
-    )
-)
+_COMPARED = {"best_progress": "best progress", "distance": "distance", "sparse": "sparse"}
+"""Ways that all tasks are learnt with from the same seeds, and their names in the figure; the others are in tables."""
+_SEEDS = 3
+"""Seeds below which a task is left to the tables."""
+_LEARNT = 0.9
+"""Success of a task that counts as learnt."""
 
 
-class LadderFigures(Figures):
-    """What is drawn of the ladder, see `results.collect`."""
+def draw_ladder(figures: Mapping[str, Any], learner: str, folder: Path) -> list[Path]:
+    """Draw the main ways with a learner while they learn, and what their seeds came to; return the files."""
+    curves = {
+        tuple(name.removesuffix(f", {learner}").split(": ")): curve
+        for name, curve in figures["curves"].items()
+        if name.endswith(f", {learner}")
+    }
+    tasks = [
+        task for (task, way), curve in curves.items() if way == "best_progress" and len(curve["success"]) >= _SEEDS
+    ]
+    ends = {
+        way: {_words(task): [100.0 * seed[-1] for seed in curves[task, way]["success"]] for task in tasks
+              if (task, way) in curves} for way in _COMPARED
+    }  # fmt: skip
+    learnt = {way: sum(np.mean(seeds) >= 100.0 * _LEARNT for seeds in each.values()) for way, each in ends.items()}
+    told = ", ".join(f"{name} {learnt[way]}" for way, name in _COMPARED.items() if ends[way])
+    title = f"{learner.upper()} learns, of {len(tasks)} tasks: {told}"
+    panels = [
+        Panel(_words(task), [line_of(way, name, curves[task, way], "success") for way, name in _COMPARED.items()
+                             if (task, way) in curves])
+        for task in tasks
+    ]  # fmt: skip
+    out = [folder / f"ladder_{learner}.svg", folder / f"ladder_{learner}_ends.svg"]
+    draw_learning(out[0], title, panels)
+    draw_ends(out[1], title, ends, {way: WAYS[way].label if len(name) < 9 else name for way, name in _COMPARED.items()})
+    return out
 
-    curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=2000)]
 
-
-def draw_ladder(figures: Mapping[str, Any], learner: str, path: Path) -> None:
-    """Draw the success of the main ways with a learner on each task; mean and standard deviation over the seeds."""
-    curves: Mapping[str, Any] = figures["curves"]
-    tasks = list(dict.fromkeys(name.split(": ")[0] for name in curves if name.endswith(f", {learner}")))
-    rows = -(-len(tasks) // _COLUMNS)
-    figure, axes = plt.subplots(
-        rows, _COLUMNS, figsize=(3.0 * _COLUMNS, 2.6 * rows), squeeze=False, sharey=True, layout="constrained"
-    )
-    for ax in axes.flat[len(tasks) :]:
-        ax.axis("off")
-    for ax, task in zip(axes.flat, tasks, strict=False):
-        for way, colour in _COLOURS.items():
-            curve = curves.get(f"{task}: {way}, {learner}")
-            if curve is not None:
-                width = 2.2 if way == MAIN[0] else 1.2
-                draw_curve(ax, curve["samples"], curve["success"], WAYS[way].label, colour, width, band=way == MAIN[0])
-        ax.set_title(task.replace("_", " "), fontsize=9)
-        ax.set_ylim(-0.03, 1.03)
-        ax.grid(alpha=0.3)
-        ax.tick_params(labelsize=7)
-    handles = {label: line for ax in axes.flat for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), fontsize=8, loc="outside lower center", ncols=4)
-    figure.suptitle(f"success over thousands of samples, {learner.upper()}", fontsize=10)
-    save_figure(figure, path)
+def _words(task: str) -> str:
+    return task.replace("_", " ")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.io.results import with_others
+from ctrl_rl_training.experiments.figure_data import Figures, SuccessCurve
 from ctrl_rl_training.experiments.results import (
     collect_rows,
     curves_of,
@@ -16,10 +17,16 @@ from ctrl_rl_training.experiments.results import (
     metrics_of_speed,
     read_figures,
 )
+from pydantic import Field
 
-from ctrl_rl_benchmarks.experiments.plots import LadderFigures
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
 from ctrl_rl_core import Result, write_results
+
+
+class LadderFigures(Figures):
+    """What is drawn of the ladder, see `collect`."""
+
+    curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=2000)]
 
 
 def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:

@@ -1,115 +1,97 @@
-"""The picture of a drive: its path over the task's walls, and what happened over time."""
+"""The pictures of a drive: its path over the task's walls, and what happened over time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from ctrl_rl_core.plots import (
+    Series,
+    draw_mover,
+    draw_path,
+    draw_robot,
+    draw_series,
+    draw_world,
+    map_beside,
+    mark_clearance,
+    name_axes,
+    picture,
+    word_at,
+)
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
-from ctrl_rl_core import NavigationTask, draw_world, load_navigation_task, save_figure
+from ctrl_rl_core import NavigationTask, load_navigation_task
 
-_COMMANDS = {"xy": ("speed\n[m/s]", "turn rate\n[rad/s]"), "xz": ("$T_1$\n[N]", "$T_2$\n[N]")}
-"""Labels of the two commands by the plane of the task."""
+_COMMANDS = {"xy": ("speed [m/s]", "turn rate [rad/s]"), "xz": ("$T_1$ [N]", "$T_2$ [N]")}
+"""Names of the two commands by the plane of the task."""
 
 
 def draw_drive(drive: DriveReport, path: Path) -> None:
-    """Write the picture as a PNG; the file is there whole or not at all."""
+    """Write the path with clearance and commands, and beside it, as values.svg, the values that were recorded."""
     task = load_navigation_task(drive.task)
-    rows = ["clearance", "speed", "turn"]
-    rows += ["reach"] if len(drive.rewards) else []
-    rows += ["value"] if len(drive.oc_values) else []
-    rows += ["error"] if len(drive.predictions) else []
-    figure, axes = plt.subplot_mosaic(
-        [["map", row] for row in rows],
-        width_ratios=(1.5, 1),
-        figsize=(12, 6),
-        layout="constrained",
-    )
-    _draw_map(axes["map"], task, drive)
-    _draw_over_time(axes, drive, _COMMANDS[task.plane])
-    for row in rows:
-        axes[row].grid(alpha=0.3)
-        axes[row].set_xlim(0.0, max(drive.duration, 1e-3))
-    axes[rows[-1]].set_xlabel("time [s]")
-    figure.suptitle(f"{task.name}: {OUTCOMES[drive.outcome]} after {drive.duration:.1f} s", fontweight="bold")
-    save_figure(figure, path)
+    title = f"{task.name}: {OUTCOMES[drive.outcome]} after {drive.duration:.1f} s, never nearer than "
+    title += f"{drive.smallest_clearance:.2f} m to a wall or an obstacle"
+    with picture(path, title, 3, 2, height=4.4, width_ratios=(1.4, 1)) as (_, axes):
+        ground = map_beside(axes)
+        _draw_map(ground, task, drive)
+        safety = drive.safety_filter
+        acted = None if safety is None else (safety.times, safety.changed)
+        series = [Series("clearance [m]", drive.clearance[:, 0], drive.clearance[:, 1], limit=0.0)]
+        for column, name in enumerate(_COMMANDS[task.plane], 1):
+            raw = None if safety is None else (safety.times, safety.raw[:, column - 1])
+            series.append(Series(name, drive.commands[:, 0], drive.commands[:, column], raw, steps=True))
+        draw_series(axes[:, 1], series, drive.duration, acted)
+    values = _values(drive)
+    if values:
+        file = path.with_name("values.svg")
+        with picture(file, f"{task.name}: values on the way", len(values), height=1.0 + 1.2 * len(values)) as (_, axes):
+            draw_series(axes[:, 0], values, drive.duration)
+
+
+def _values(drive: DriveReport) -> list[Series]:
+    """Return what value functions and the latent model said on the way."""
+    out = []
+    if len(drive.rewards):
+        best = np.array([0.0, drive.time_to_reach])
+        out.append(
+            Series("time to reach [s]; dotted: at best", drive.rewards[:, 0], drive.rewards[:, 2], (best, best[::-1]))
+        )
+    if len(drive.oc_values):
+        out.append(Series("optimal value", drive.oc_values[:, 0], drive.oc_values[:, 1]))
+    if len(drive.predictions):
+        times, error, still = drive.predictions.T
+        out.append(Series("one-step error; dotted: of 'nothing changes'", times, error, (times, still)))
+    return out
 
 
 def _draw_map(axes: Axes, task: NavigationTask, drive: DriveReport) -> None:
     draw_world(axes, task, drive.width)
-    points = drive.truth[:, 1:3]
-    if len(points) > 1:
-        clearance = np.interp(drive.truth[:, 0], *drive.clearance.T)
-        line = LineCollection(list(np.stack((points[:-1], points[1:]), axis=1)), cmap="viridis", linewidth=2.5)
-        line.set_array(clearance[:-1])
-        axes.add_collection(line)
-        plt.colorbar(line, ax=axes, location="bottom", shrink=0.6, label="clearance [m]")
-        axes.plot(*points[0], "o", color="black", label="start")
-        _mark_times(axes, drive)
-    _draw_movers(axes, drive)
-    axes.set(xlabel="x [m]", ylabel=f"{task.plane[1]} [m]")
-    axes.autoscale_view()
-    axes.legend(loc="best", frameon=False)
-
-
-def _draw_movers(axes: Axes, drive: DriveReport) -> None:
-    """Draw where the moving obstacles went, and where they were at the end."""
+    times, places = drive.truth[:, 0], drive.truth[:, 1:3]
+    if len(places) > 1:
+        draw_path(axes, places, times=times)
+        radius, flies = task.robot.radius, task.plane == "xz"
+        draw_robot(axes, places[0], _heading(places), radius, flies=flies)
+        word_at(axes, "start", (float(places[0, 0]), float(places[0, 1])))
+    if len(places) > 1 and len(drive.clearance):
+        moment, least = drive.clearance[np.argmin(drive.clearance[:, 1])]
+        mark_clearance(axes, [np.interp(moment, times, column) for column in places.T], float(least))
     for mover in drive.movers:
         driven = mover.track[mover.track[:, 0] <= drive.duration]
-        axes.plot(*driven[:, 1:].T, ":", color="tab:red", linewidth=1)
-        axes.add_patch(Circle(mover.at(drive.duration), mover.radius, color="tab:red", alpha=0.6, linewidth=0))
+        distances = [
+            np.hypot(*(np.array(mover.at(time)) - [np.interp(time, times, column) for column in places.T]))
+            for time in driven[:, 0]
+        ]
+        nearest = driven[int(np.argmin(distances)), 0] if distances else 0.0
+        draw_mover(axes, driven[:, 1:], mover.at(float(nearest)), mover.radius)
+    name_axes(axes, "x", task.plane[1])
+    axes.autoscale_view()
 
 
-def _mark_times(axes: Axes, drive: DriveReport, step: float = 5.0) -> None:
-    """Write the time beside the path every few seconds."""
-    for time in np.arange(step, drive.duration, step):
-        x, y = (np.interp(time, drive.truth[:, 0], drive.truth[:, column]) for column in (1, 2))
-        axes.plot(x, y, ".", color="black", markersize=4)
-        axes.annotate(f"{time:g} s", (x, y), (4, 4), textcoords="offset points", fontsize=7)
-
-
-def _draw_over_time(axes: dict[str, Axes], drive: DriveReport, commands: tuple[str, str]) -> None:
-    safety = drive.safety_filter
-    if safety is not None:
-        for name, column in (("speed", 0), ("turn", 1)):
-            axes[name].step(safety.times, safety.raw[:, column], where="post", color="0.6", label="raw")
-            low, high = axes[name].get_ylim()
-            axes[name].fill_between(
-                safety.times,
-                low,
-                high,
-                where=safety.changed,
-                step="post",
-                color="tab:red",
-                alpha=0.2,
-                linewidth=0,
-                label="changed by the filter",
-            )
-        axes["speed"].legend(fontsize=7, frameon=False)
-    axes["clearance"].plot(*drive.clearance.T, color="tab:blue")
-    axes["clearance"].axhline(0.0, color="tab:red", linewidth=1)
-    axes["clearance"].set_ylabel("clearance\n[m]")
-    axes["speed"].step(drive.commands[:, 0], drive.commands[:, 1], where="post", color="tab:green")
-    axes["speed"].set_ylabel(commands[0])
-    axes["turn"].step(drive.commands[:, 0], drive.commands[:, 2], where="post", color="tab:orange")
-    axes["turn"].set_ylabel(commands[1])
-    if "reach" in axes:
-        axes["reach"].set_ylabel("time to\nreach [s]")
-        best = drive.time_to_reach
-        axes["reach"].plot(drive.rewards[:, 0], drive.rewards[:, 2], color="tab:purple", label="on the way")
-        axes["reach"].plot((0.0, best), (best, 0.0), "--", color="0.5", linewidth=1, label="at best")
-        axes["reach"].legend(fontsize=7, frameon=False)
-    if "value" in axes:
-        axes["value"].plot(*drive.oc_values.T, color="tab:brown")
-        axes["value"].set_ylabel("optimal\nvalue")
-    if "error" in axes:
-        axes["error"].plot(*drive.predictions[:, :2].T, color="tab:cyan", label="model")
-        axes["error"].plot(*drive.predictions[:, [0, 2]].T, color="0.5", linewidth=1, label="nothing changes")
-        axes["error"].set_ylabel("one-step\nerror")
-        axes["error"].legend(fontsize=7, frameon=False)
+def _heading(places: NDArray[np.float64]) -> float:
+    """Return the direction in which a path (n, 2) begins [rad]."""
+    far = places[np.linalg.norm(places - places[0], axis=1) > 0.05]
+    step = (far[0] if len(far) else places[-1]) - places[0]
+    return float(np.arctan2(step[1], step[0]))

@@ -122,9 +122,8 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
 def _draw(options: Plot) -> int:
     from koopman_lqr_controller.training.experiments.plots import draw  # matplotlib is not for robots
 
-    options.output.mkdir(parents=True, exist_ok=True)
     for file in options.results:
-        picture = options.output / f"{file.stem}.png"
+        picture = options.output / f"{file.stem}.svg"
         draw(file, picture)
         print(f"picture    {picture}")
     return 0

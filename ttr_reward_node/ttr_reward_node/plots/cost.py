@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from ctrl_rl_core.plots import BLACK, FAINT, MOST_LINES, ROBOTS, name_at_end, picture
 
-from ctrl_rl_core import save_figure
 from ttr_reward_node.verification.cost import exponent
+
+_LOOKS = tuple(zip((*ROBOTS, BLACK, FAINT), "osD^v", strict=True))
+"""Colour and marker of each system; where several have as many states, the first of them is drawn."""
 
 
 def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -20,20 +22,21 @@ def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         rows: Rows of `measure_cost` for one method.
         path: File of the picture; replaced if it exists.
     """
-    figure, axes = plt.subplots(figsize=(7.6, 4.8), layout="constrained")
-    for name in dict.fromkeys(row["system"] for row in rows):
-        mine = [row for row in rows if row["system"] == name]
-        points, seconds = (np.array([row[key] for row in mine]) for key in ("points", "cpu_s"))
-        slope = f" (exponent {exponent(mine):.2f})" if np.sum(points >= 9e3) > 1 else ""
-        axes.loglog(points, seconds, marker="o", markersize=3, linewidth=1.2, label=f"{name}{slope}")
-    points = np.array([min(row["points"] for row in rows), max(row["points"] for row in rows)], dtype=np.float64)
-    middle = np.exp(np.mean(np.log([row["cpu_s"] / row["points"] for row in rows if row["points"] > 1e4])))
-    axes.loglog(points, middle * points, color="0.5", linestyle="--", linewidth=1.0, label="linear in the points")
-    axes.set_xlabel("grid points")
-    axes.set_ylabel("CPU time [s]")
-    axes.grid(which="major", color="0.9")
-    axes.legend(fontsize=7.5)
-    axes.set_title(
-        f"time to reach, {rows[0]['method'].replace('_', '-')}: cost of systems of 1 to 6 dimensions", fontsize=10
-    )
-    save_figure(figure, path)
+    largest = max(row["points"] for row in rows)
+    with picture(path, f"Time to reach, {rows[0]['method'].replace('_', '-')}: CPU time grows with the points, up to "
+                 f"{largest / 1e6:.1f} million of them", height=3.4) as (_, ((axes,),)):  # fmt: skip
+        first = {name.partition("D")[0]: name for name in reversed([row["system"] for row in rows])}
+        for name, (colour, marker) in zip(sorted(first.values())[-MOST_LINES:], _LOOKS, strict=False):
+            mine = [row for row in rows if row["system"] == name]
+            points, seconds = (np.array([row[key] for row in mine]) for key in ("points", "cpu_s"))
+            slope = f" (exponent {exponent(mine):.2f})" if np.sum(points >= 9e3) > 1 else ""
+            axes.plot(points, seconds, color=colour, marker=marker, markersize=4)
+            name_at_end(axes, f"{name}{slope}", float(seconds[-1]), colour)
+        points = np.array([min(row["points"] for row in rows), largest], dtype=np.float64)
+        middle = np.exp(np.mean(np.log([row["cpu_s"] / row["points"] for row in rows if row["points"] > 1e4])))
+        axes.plot(points, middle * points, color=FAINT, linewidth=0.8)
+        name_at_end(axes, "linear in the points", float(middle * points[-1]), FAINT)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("grid points")
+        axes.set_ylabel("CPU time [s]")

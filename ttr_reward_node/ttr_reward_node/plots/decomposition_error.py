@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from ctrl_rl_core.plots import BLACK, FAINT, OURS_COLOUR, draw_values, draw_world, legend_below, name_axes, picture
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, draw_world, position_indices, save_figure
+from ctrl_rl_core import NavigationTask, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.verification.decomposition_error import DecompositionErrors
 
-_BINS = 60
+_BINS, _MOST = 60, 2
 
 
 def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: NavigationTask, path: Path) -> None:
@@ -34,32 +35,28 @@ def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: Navigat
         raise TimeToReachError("there is nothing to draw: no plane of positions, or no node that both solutions reach")
     top = max(float(np.quantile(d, 0.99)) for d in differences)
     low = min(0.0, *(float(np.quantile(d, 0.001)) for d in differences))
-    figure, axes = plt.subplots(1, 1 + len(gaps), figsize=(4.4 * (1 + len(gaps)), 4.0), layout="constrained")
-    for gap, d in zip(gaps, differences, strict=True):
-        axes[0].hist(d, bins=_BINS, range=(low, top), density=True, histtype="step", label=_label(gap))
-    axes[0].axvline(0.0, color="0.5", linewidth=0.8)
-    axes[0].set_xlabel("whole minus decomposed [s]")
-    axes[0].set_ylabel("density [1/s]")
-    axes[0].legend(fontsize=8)
-    image = None
-    for gap, ax in zip(gaps, axes[1:], strict=True):
-        first, second = (gap.problem.axes[k] for k in plane)
-        layer, where = _slice(gap, plane)
-        image = ax.pcolormesh(first.nodes, second.nodes, layer.T, vmin=0.0, vmax=top, cmap="magma_r", shading="nearest")
-        draw_world(ax, task)
-        ax.set_facecolor("0.85")
-        ax.set_xlim(first.lower, first.upper)
-        ax.set_ylim(second.lower, second.upper)
-        ax.set_xlabel(f"{first.name} [{first.unit}]")
-        ax.set_ylabel(f"{second.name} [{second.unit}]")
-        ax.set_title(f"{gap.decomposition} at {where}", fontsize=8)
-    assert image is not None
-    figure.colorbar(image, ax=list(axes[1:]), label="whole minus decomposed [s]", shrink=0.85)
-    figure.suptitle(
-        f"{task.name}: cost of decomposition, {' x '.join(map(str, gaps[0].problem.counts))} nodes; grey: unreachable",
-        fontsize=10,
-    )
-    save_figure(figure, path)
+    shown = list(zip(gaps, differences, strict=True))[:_MOST]
+    worst = max(float(np.mean(d)) for d in differences)
+    title = f"{task.name}: decomposition misses up to {worst:.2f} s of the time on average"
+    with picture(path, title, 1, 1 + len(shown), height=3.0) as (figure, ((beside, *maps),)):
+        for (gap, d), colour in zip(shown, (OURS_COLOUR, BLACK), strict=False):
+            beside.hist(d, bins=_BINS, range=(low, top), density=True, histtype="step", color=colour, label=_label(gap))
+        beside.axvline(0.0, color=FAINT, linewidth=0.8)
+        beside.set_xlabel("whole less decomposed [s]")
+        beside.set_ylabel("density [1/s]")
+        image = None
+        for (gap, _), ax in zip(shown, maps, strict=True):
+            first, second = (gap.problem.axes[k] for k in plane)
+            layer, where = _slice(gap, plane)
+            image = draw_values(ax, first.nodes, second.nodes, layer.T, "time", (0.0, top))
+            draw_world(ax, task)
+            ax.set_xlim(first.lower, first.upper)
+            ax.set_ylim(second.lower, second.upper)
+            name_axes(ax, first.name, second.name)
+            ax.set_title(f"{gap.decomposition}\n{textwrap.fill(where, 26)}")
+        assert image is not None
+        figure.colorbar(image, ax=maps, label="whole less decomposed [s]")
+        legend_below(figure, len(shown))
 
 
 def _slice(gap: DecompositionErrors, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:

@@ -2,43 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.plots import degrees, draw_values, draw_world, name_axes, picture
 from ctrl_rl_core.tasks.regions import ANGLES
 from ctrl_rl_core.values.plane import plane_of
-from matplotlib import pyplot as plt
-from matplotlib.colors import Normalize, TwoSlopeNorm
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, ValueFunction, draw_world, save_figure
+from ctrl_rl_core import NavigationTask, ValueFunction
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]
-_POINTS = 300
+_POINTS, _MOST = 300, 6
 _THESIS_HEADINGS = (-np.pi / 4, 0.0, np.pi / 2, 3 * np.pi / 4)
-
-
-@dataclass(frozen=True)
-class _Style:
-    """Colours and words of a kind of value."""
-
-    label: str
-    title: str
-    colours: str
-    norm: Callable[[float, float], Normalize]
-
-
-_TIME = _Style("time to reach [s]", "time to reach; grey cannot reach the goal", "viridis_r", Normalize)
-_SAFETY = _Style(
-    "safety value [m]",
-    "safety value; inside the black line all can be avoided",
-    "RdYlGn",
-    lambda low, top: TwoSlopeNorm(0.0, low, top),
-)
 
 
 def draw_slices(
@@ -68,28 +47,29 @@ def draw_slices(
     x, y = np.linspace(first.lower, first.upper, _POINTS), np.linspace(second.lower, second.upper, _POINTS)
     slices = [function.value(plane.states(x, y, panel)) for panel in values]
     finite = np.concatenate([layer[np.isfinite(layer)] for layer in slices])
-    style = _SAFETY if function.kind in ("avoid", "reach_avoid") else _TIME
-    top = max(float(finite.max(initial=0.0)), 1e-6)
-    low = min(float(finite.min(initial=0.0)), -1e-6) if style is _SAFETY else 0.0
-    figure, axes = plt.subplots(
-        1, len(values), figsize=(4.2 * len(values) + 0.8, 4.4), sharey=True, squeeze=False, layout="constrained"
-    )
-    image: Any = None
-    for panel, layer, ax in zip(values, slices, axes[0], strict=True):
-        shown = np.ma.masked_invalid(layer)
-        image = ax.contourf(x, y, shown, np.linspace(low, top, 25), cmap=style.colours, norm=style.norm(low, top))
-        if style is _SAFETY and layer.min() < 0.0 < layer.max():
-            ax.contour(x, y, shown, [0.0], colors="black", linewidths=1.5)
-        draw_world(ax, task)
-        ax.set_title(", ".join(f"{name} = {value:.3g}" for name, value in panel.items()), fontsize=9)
-        ax.set_xlabel(f"{first.name} [{first.unit}]")
-        ax.set_xlim(first.lower, first.upper)
-        ax.set_ylim(second.lower, second.upper)
-        ax.set_facecolor("0.85")
-    axes[0, 0].set_ylabel(f"{second.name} [{second.unit}]")
-    figure.colorbar(image, ax=list(axes[0]), label=style.label, shrink=0.85)
-    figure.suptitle(f"{task.name}: {style.title}", fontsize=11)
-    save_figure(figure, path)
+    safety = function.kind in ("avoid", "reach_avoid")
+    span = (float(finite.min(initial=0.0)) if safety else 0.0, max(float(finite.max(initial=0.0)), 1e-6))
+    title = "inside the black line all can be avoided" if safety else f"at most {span[1]:.0f} s to the goal"
+    columns = min(len(values), 2)
+    rows = -(-min(len(values), _MOST) // columns)
+    with picture(path, f"{task.name}: {title}", rows, columns, height=0.7 + 2.9 * rows, sharex=True,
+                 sharey=True) as (figure, axes):  # fmt: skip
+        for ax in axes.flat[len(values) :]:
+            ax.set_axis_off()
+        image: Any = None
+        for panel, layer, ax in zip(values, slices, axes.flat, strict=False):
+            image = draw_values(ax, x, y, layer, "signed" if safety else "time", span)
+            draw_world(ax, task)
+            ax.set_title(", ".join(f"{name} = {_shown(name, value)}" for name, value in panel.items()))
+            ax.set_xlim(first.lower, first.upper)
+            ax.set_ylim(second.lower, second.upper)
+            name_axes(ax, first.name, second.name)
+            ax.label_outer()
+        figure.colorbar(image, ax=list(axes.flat), label="safety value [m]" if safety else "time to reach [s]")
+
+
+def _shown(name: str, value: float) -> str:
+    return degrees(value) if name in ANGLES else f"{value:.3g}"
 
 
 def _panels(others: Sequence[str], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:

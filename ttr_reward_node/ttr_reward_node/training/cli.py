@@ -65,26 +65,14 @@ def _train(options: Train) -> int:
 
 
 def _figures(options: Plot) -> int:
-    from ctrl_rl_training.plots import draw_paths  # matplotlib is not for robots
-
-    from ttr_reward_node.training.plots import Learning, draw_curves, draw_visits
+    from ttr_reward_node.training.plots import Learning, draw_all  # matplotlib is not for robots
 
     figures, task = read_training(options, Learning)
     there = list(dict.fromkeys(method.split(", ")[0] for method in figures["curves"]))
     algorithm = options.algorithm or there[0]
     if algorithm not in there:
         raise ResultsError(f"{options.results}: has no runs of {algorithm}, but of {', '.join(there)}")
-    best = PROGRESS if f"{algorithm}, {PROGRESS}" in figures["paths"] else "ttr"
-    name, method = task.name, f"{algorithm}, {best}"
-    pictures = {part: options.output / f"{name}_{part}.png" for part in ("success", "visits", "paths")}
-    draw_curves(figures, pictures["success"])
-    draw_visits(figures, task, algorithm, pictures["visits"])
-    if method in figures["paths"]:
-        title = f"{name}: after learning with {algorithm.upper()} and the reward {best}"
-        draw_paths(figures["paths"][method], task, title, pictures["paths"])
-    else:
-        pictures.pop("paths")
-    for picture in pictures.values():
+    for picture in draw_all(figures, task, algorithm, options.output):
         print(f"picture    {picture}")
     return 0
 

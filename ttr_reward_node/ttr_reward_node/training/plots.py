@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.io.schema import Schema
+from ctrl_rl_core.plots import (
+    GOAL,
+    Panel,
+    Style,
+    best_of,
+    draw_counts,
+    draw_learning,
+    draw_map,
+    draw_paths,
+    legend_below,
+    line_of,
+    picture,
+    style_of,
+)
 from ctrl_rl_core.tasks.regions import ANGLES
 from ctrl_rl_training.experiments.figure_data import DrivenPath, Figures, SuccessCurve
-from ctrl_rl_training.plots import draw_curve, over_seeds
-from matplotlib import pyplot as plt
 from pydantic import Field, model_validator
 
-from ctrl_rl_core import NavigationTask, ResultsError, draw_world, position_indices, save_figure
-from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS
+from ctrl_rl_core import NavigationTask, ResultsError
+from ttr_reward_node.rewards.rewards import PROGRESS
 from ttr_reward_node.training.results import STAGES
 
-_COLOURS = dict(
-    zip(
-        TRAINING_REWARDS,
-        ("tab:green", "0.45", "tab:blue", "tab:cyan", "tab:purple", "tab:orange", "tab:red"),
-        strict=True,
-    )
-)
+_FILES = {"success": "svg", "visits": "png", "turns": "svg", "paths": "png"}
+_DRAWN = (PROGRESS, "ttr", "distance_10", "distance_0", "sparse")
+"""Rewards that are drawn; the others are in the tables."""
 _LABELS = {
     PROGRESS: "progress of time to reach",
     "sparse": "sparse",
@@ -62,69 +70,96 @@ class Learning(Figures):
     paths: dict[str, Annotated[list[DrivenPath], Field(max_length=1000)]]
 
 
-_COMPARED = ("sparse", "distance_10", "ttr", PROGRESS)
-"""Rewards of Fig. 3.7, and progress."""
+_THIRDS = ("first third", "second third", "last third")
+
+
+def draw_all(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, folder: Path) -> Iterator[Path]:
+    """Draw success, visits and paths, and return the files; paths are left out where there are none."""
+    files = {part: folder / f"{task.name}_{part}.{kind}" for part, kind in _FILES.items()}
+    draw_curves(figures, files["success"])
+    draw_visits(figures, task, algorithm, files["visits"])
+    draw_turns(figures, task, algorithm, files["turns"])
+    best = PROGRESS if f"{algorithm}, {PROGRESS}" in figures["paths"] else "ttr"
+    paths = figures["paths"].get(f"{algorithm}, {best}")
+    if paths:
+        title = f"{task.name}: paths after learning with {algorithm.upper()}"
+        draw_paths(files["paths"], title, task, {f"reward: {_LABELS[best]}": paths})
+    else:
+        files.pop("paths")
+    yield from files.values()
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw success against samples, a panel for each algorithm: mean and standard deviation over the seeds."""
+    """Draw success while learning, a panel for each algorithm."""
     curves: Mapping[str, Any] = figures["curves"]
     algorithms = list(dict.fromkeys(method.split(", ")[0] for method in curves))
-    figure, axes = plt.subplots(
-        1, len(algorithms), figsize=(4.2 * len(algorithms), 3.6), sharey=True, squeeze=False, layout="constrained"
-    )
-    for algorithm, ax in zip(algorithms, axes[0], strict=True):
-        for reward in TRAINING_REWARDS:
-            curve = curves.get(f"{algorithm}, {reward}")
-            if curve is not None:
-                width = 2.2 if reward in (PROGRESS, "ttr") else 1.3
-                draw_curve(ax, curve["samples"], curve["success"], _LABELS[reward], _COLOURS[reward], width)
-        ax.set_title(algorithm.upper())
-        ax.set_xlabel("samples [thousands]")
-        ax.set_ylim(-0.02, 1.02)
-        ax.grid(alpha=0.3)
-    axes[0, 0].set_ylabel("success rate")
-    axes[0, -1].legend(fontsize=8)
-    seeds = max(len(seeds) for seeds in figures["seeds"].values())
-    figure.suptitle(f"{figures['task']}: success while learning, {over_seeds(seeds)}")
-    save_figure(figure, path)
+    panels = [
+        Panel(
+            algorithm.upper(),
+            [
+                line_of(reward, _LABELS[reward], curves[f"{algorithm}, {reward}"], "success")
+                for reward in _DRAWN
+                if f"{algorithm}, {reward}" in curves
+            ],
+        )
+        for algorithm in algorithms
+    ]
+    told = "; ".join(f"{panel.title}: {best_of(panel.lines)}" for panel in panels[:1])
+    draw_learning(path, f"{figures['task']}, {told}", panels)
 
 
 def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
-    """Draw which states learning met in each third of the training: where, and at which angle, as Fig. 3.7 does."""
-    rewards = [reward for reward in _COMPARED if f"{algorithm}, {reward}" in figures["visits"]]
-    if not rewards:
-        raise ResultsError(f"there are no visits of {algorithm} with {', '.join(_COMPARED)} to draw")
-    figure, axes = plt.subplots(
-        2, STAGES * len(rewards), figsize=(2.3 * STAGES * len(rewards), 4.6), squeeze=False, layout="constrained"
-    )
-    sides = list(task.plane_bounds.values())
+    """Draw where learning was in each third of the training, with and without the time to reach (Fig. 3.7)."""
+    rewards = _compared(figures, algorithm)
+    # Darkest is the place that was met most often in any third.
+    most = max(np.max(figures["visits"][f"{algorithm}, {reward}"]["places"]) for reward in rewards)
+    (_, width), (_, height) = task.plane_bounds.items()
+    with picture(path, f"{task.name}, {algorithm.upper()}: where it was while it learnt", len(rewards), STAGES,
+                 height=1.0 + 1.75 * len(rewards), sharex=True, sharey=True) as (figure, axes):  # fmt: skip
+        for row, reward in zip(axes, rewards, strict=True):
+            visits = figures["visits"][f"{algorithm}, {reward}"]
+            for ax, counts, stage in zip(row, visits["places"], _THIRDS, strict=True):
+                places = np.array(counts, dtype=float).T
+                x = np.linspace(*width, places.shape[1] + 1)
+                y = np.linspace(*height, places.shape[0] + 1)
+                image = draw_counts(ax, x, y, places, float(most))
+                draw_map(ax, task)
+                ax.set_title(f"{_LABELS[reward]}: {stage}")
+                ax.label_outer()
+        figure.colorbar(image, ax=list(axes.flat), label="steps in a cell", shrink=0.8)
+
+
+def draw_turns(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
+    """Draw at which angles learning was in each third of the training, with and without the time to reach."""
     angle = next(name for name in task.system.build().state_names if name in ANGLES)
     target = task.goal.region.intervals.get(angle)
-    names = [task.system.build().state_names[index] for index in position_indices(task.system.build().state_names)]
-    for column, (reward, stage) in enumerate((reward, stage) for reward in rewards for stage in range(STAGES)):
-        visits = figures["visits"][f"{algorithm}, {reward}"]
-        turns = np.array(visits["turns"][stage], dtype=float)
-        edges = np.linspace(-np.pi, np.pi, len(turns) + 1)
-        density = turns / max(turns.sum(), 1.0) / (edges[1] - edges[0])
-        above = axes[0, column]
-        above.stairs(density, edges, fill=True, color=_COLOURS[reward], baseline=1e-4)
-        above.set_yscale("log")
-        above.set_ylim(1e-4, 10.0)
-        if target is not None:
-            above.axvspan(target.low, target.high, color="tab:green", alpha=0.25, linewidth=0)
-        above.set_title(f"{_LABELS[reward]}\n{('first', 'second', 'last')[stage]} third", fontsize=8)
-        below = axes[1, column]
-        places = np.log1p(np.array(visits["places"][stage], dtype=float)).T
-        extent = (sides[0].low, sides[0].high, sides[1].low, sides[1].high)
-        below.imshow(places, origin="lower", extent=extent, cmap="magma_r", aspect="auto")
-        draw_world(below, task)
-        below.set_xlim(sides[0])
-        below.set_ylim(sides[1])
-        above.set_xlabel(f"{angle} [rad]", fontsize=7)
-        for ax in (above, below):
-            ax.tick_params(labelsize=6, labelleft=column == 0)
-    axes[0, 0].set_ylabel(f"density of {angle}")
-    axes[1, 0].set_ylabel(f"{names[1]} over {names[0]} [m]")
-    figure.suptitle(f"{figures['task']}, {algorithm.upper()}: states met while learning")
-    save_figure(figure, path)
+    with picture(path, f"{task.name}, {algorithm.upper()}: angles met while learning", 1, STAGES, height=2.6,
+                 sharex=True, sharey=True) as (figure, axes):  # fmt: skip
+        taken: dict[str, Style] = {}
+        for stage, ax in enumerate(axes[0]):
+            for reward in _compared(figures, algorithm):
+                taken.setdefault(reward, style_of(reward, taken))
+                turns = np.array(figures["visits"][f"{algorithm}, {reward}"]["turns"][stage], dtype=float)
+                edges = np.linspace(-180.0, 180.0, len(turns) + 1)
+                density = 100.0 * turns / max(turns.sum(), 1.0) / (edges[1] - edges[0])
+                look = taken[reward]
+                ax.stairs(density, edges, color=look.colour, linestyle=look.line, label=_LABELS[reward])
+            if target is not None:
+                low, high = np.rad2deg((target.low, target.high))
+                ax.axvspan(low, high, facecolor="none", edgecolor=GOAL, hatch="//", label="goal")
+            ax.set_title(_THIRDS[stage])
+            ax.set_xlabel(f"{angle} [°]")
+            ax.set_xticks([-180, 0, 180])
+            ax.set_yscale("log")
+            ax.set_ylim(bottom=1e-3)
+        axes[0, 0].set_ylabel("share of steps [%/°]")
+        legend_below(figure)
+
+
+def _compared(figures: Mapping[str, Any], algorithm: str) -> list[str]:
+    """Return the reward that was made of the time to reach, and the sparse one, as far as they were learnt with."""
+    ours = PROGRESS if f"{algorithm}, {PROGRESS}" in figures["visits"] else "ttr"
+    found = [reward for reward in (ours, "sparse") if f"{algorithm}, {reward}" in figures["visits"]]
+    if not found:
+        raise ResultsError(f"there are no visits of {algorithm} with {PROGRESS}, ttr or sparse to draw")
+    return found

@@ -37,13 +37,26 @@ def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
         out.append(f"## {title}")
         out.append(_TEXTS[part](found))
         if part in pictures:
-            out.append(f"![{title}]({pictures[part]})")
+            out.append(f"![{_alternative(title, found, part)}]({pictures[part]})")
+            out.append(_caption(found, title))
     left = found["left_out"]
     if left:
         out.append("## Left out")
         names = {**_TITLES, **_OTHER}
         out.append("\n".join(f"- {names.get(part, part)}: {reason}" for part, reason in left.items()))
     return "\n\n".join(out) + "\n"
+
+
+def _alternative(title: str, found: Found, part: str) -> str:
+    """Return what a picture shows, for those who do not see it: the finding with its number."""
+    sentence = _TEXTS[part](found).partition("\n")[0].partition(". ")[0].rstrip(".")
+    return title if set("[]|") & set(sentence) else sentence
+
+
+def _caption(found: Found, title: str) -> str:
+    data = found.get("data")
+    seen = f", {data['episodes']} episodes" if data else ""
+    return f"*{title}: one policy{seen}. Drawn by `analyse` from [the data](analysis.json).*"
 
 
 def _about(found: Found) -> str:
@@ -188,7 +201,7 @@ def _closed_loop(found: Found) -> str:
             ("cost_to_go", "cost_to_go_of_the_model_alone")]  # fmt: skip
     return (
         f"{text} The cost to go ends at {last[0]:.1e} of its start; the model alone would promise {last[1]:.1e}. "
-        "What the lifted model promises proves nothing of the robot: red counts."
+        "What the lifted model promises proves nothing of the robot: the black lines count."
     )
 
 

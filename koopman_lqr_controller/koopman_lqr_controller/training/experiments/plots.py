@@ -9,19 +9,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Name
+from ctrl_rl_core.plots import MOST_LINES, RETURN, Line, Panel, best_of, draw_learning, line_of
 from ctrl_rl_training.experiments.figure_data import Figures, Seeds, ValueCurve
 from ctrl_rl_training.experiments.results import read_figures
-from ctrl_rl_training.plots import draw_curve, over_seeds
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
 from pydantic import Field, model_validator
 
-from ctrl_rl_core import save_figure
 from koopman_lqr_controller.training.experiments.last_curves import PUBLISHED, LastPolicies
 from koopman_lqr_controller.training.experiments.methods import METHODS
-
-_MARKERS = "osD^v"
-_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
 
 
 class Comparison(Figures):
@@ -78,72 +72,55 @@ def draw(file: Path, path: Path) -> None:
 
 
 def draw_training(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw the evaluations of each seed, a colour for each candidate.
+    """Draw the evaluations of each seed for each candidate.
 
     Args:
         figures: Figures' data of `collect`.
         path: Path of the picture.
     """
-    figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-    steps = figures["curves"]["steps"]
-    candidates = [name for name in figures["curves"] if name != "steps"]
-    for name, colour in zip(candidates, _COLOURS, strict=False):
-        for number, (at, values) in enumerate(zip(steps, figures["curves"][name], strict=True)):
-            label = name if number == 0 else None
-            ax.plot(np.array(at) / 1000.0, values, color=colour, linewidth=1.0, alpha=0.8, label=label)
-    _finish(ax, "steps of the system [thousands]", "return")
-    ax.set_title(f"{figures['task']}: a line for each of {len(steps)} seeds", fontsize=10)
-    save_figure(figure, path)
+    curves = dict(figures["curves"])
+    steps = min(curves.pop("steps"), key=len)
+    lines = [
+        Line(name, name, steps, [seed[: len(steps)] for seed in seeds]) for name, seeds in curves.items()
+    ][:MOST_LINES]  # fmt: skip
+    draw_learning(path, f"{figures['task']}: {best_of(lines, RETURN)}", [Panel("", lines)], RETURN)
 
 
 def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw mean and standard deviation over the seeds.
+    """Draw returns, or how far they stay below a reference, while methods learnt.
 
     Args:
         figures: Figures' data of `collect_comparison`.
         path: Path of the picture.
     """
-    gaps = figures["kind"] == "gaps"
-    figure, ax = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-    for number, (method, curve) in enumerate(figures["curves"].items()):
-        values = np.array(curve["values"])
-        shown = figures["reference"] - values if gaps else values
-        colour = _COLOURS[number % len(_COLOURS)]
-        draw_curve(ax, curve["samples"], shown.tolist(), METHODS[method].label, colour, start=None)
+    gaps, reference = figures["kind"] == "gaps", figures["reference"]
+    measure = "reference return less ours" if gaps else RETURN
+    lines = []
+    for method, curve in list(figures["curves"].items())[:MOST_LINES]:
+        values = np.asarray(curve["values"])
+        lines.append(Line(method, METHODS[method].label, curve["samples"], reference - values if gaps else values))
+    limits = {"the reference": 0.0 if gaps else reference} if reference is not None else {}
+    title = f"{figures['task']}: {best_of(lines, measure)}"
     if gaps:
-        ax.axhline(0.0, color="k", linewidth=0.8, linestyle=":")
-    _finish(ax, "steps of the system [thousands]", "reference return less ours" if gaps else "return")
-    seeds = max(len(curve["values"]) for curve in figures["curves"].values())
-    ax.set_title(f"{figures['task']}: {over_seeds(seeds)}", fontsize=10)
-    save_figure(figure, path)
+        side = "below" if lines[0].end > 0.0 else "above"
+        title = f"{figures['task']}: {abs(lines[0].end):.0f} {side} the reference of {reference:.0f} at the end"
+    draw_learning(path, title, [Panel("", lines, limits)], measure)
 
 
 def draw_last_policies(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw returns over simulated frames, a panel for each task, beside what others publish.
+    """Draw returns over environment steps, a panel for each task, beside what others publish.
 
     Args:
         figures: Figures' data of `collect_curves`.
         path: Path of the picture.
     """
-    panels: dict[str, list[str]] = {}
-    for method in figures["last_policies"]:
-        panels.setdefault(method.removesuffix("_fine"), []).append(method)
-    figure, axes = plt.subplots(1, len(panels), figsize=(7.0 * len(panels), 4.2), layout="constrained", squeeze=False)
-    for ax, (task, methods) in zip(axes[0], panels.items(), strict=True):
-        for method, colour in zip(methods, _COLOURS, strict=False):
-            curve = figures["last_policies"][method]["curve"]
-            label = f"{method}, {over_seeds(len(curve['values']))}"
-            draw_curve(ax, curve["samples"], curve["values"], label, colour, start=None)
-        for (name, points), marker in zip(PUBLISHED.get(task, {}).items(), _MARKERS, strict=False):
-            frames = [each / 1000.0 for each in points]
-            ax.plot(frames, list(points.values()), marker, color="0.3", markersize=5, label=f"{name}, published")
-        _finish(ax, "simulated frames [thousands]", "return")
-        ax.set_title(task, fontsize=10)
-    save_figure(figure, path)
-
-
-def _finish(ax: Axes, x: str, y: str) -> None:
-    ax.set_xlabel(x)
-    ax.set_ylabel(y)
-    ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
+    panels: dict[str, list[Line]] = {}
+    for method, each in figures["last_policies"].items():
+        task = method.removesuffix("_fine")
+        panels.setdefault(task, []).append(line_of(method, "the last policy", each["curve"]))
+    title = "; ".join(f"{task}: {best_of(lines, RETURN)}" for task, lines in panels.items())
+    shown = [
+        Panel(task if len(panels) > 1 else "", lines, published=PUBLISHED.get(task, {}))
+        for task, lines in panels.items()
+    ]
+    draw_learning(path, title, shown, RETURN)

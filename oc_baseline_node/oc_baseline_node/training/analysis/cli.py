@@ -139,7 +139,6 @@ def _mismatch(options: Mismatch) -> int:
 
 def _mpc(options: MpcDrives) -> int:
     from oc_baseline_node.training.analysis.mismatch import run_mpc_episodes
-    from oc_baseline_node.training.plots import draw_drives
 
     task = load_navigation_task(options.task)
     learnt = [] if options.learnt is None else _learnt_paths(options.learnt, task)
@@ -158,7 +157,9 @@ def _mpc(options: MpcDrives) -> int:
         "learnt": learnt[:3],
     }
     picture = options.images / f"{task.name}_mpc.png"
-    draw_drives(paths, task, picture)
+    from ctrl_rl_core.plots import draw_paths  # matplotlib is not for robots
+
+    draw_paths(picture, f"{task.name} in the simulator", task, {name: each for name, each in paths.items() if each})
     print(f"picture    {picture}")
     return _write(options, f"oc_mpc_{task.name}", rows, {"task": task.name, "paths": paths})
 

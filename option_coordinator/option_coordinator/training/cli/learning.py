@@ -131,8 +131,7 @@ def _figures(options: PlotOptions) -> int:
     from option_coordinator.training.plots import Learning, draw_curves  # matplotlib is not for robots
 
     figures = read_figures(options.results, Learning)
-    options.output.mkdir(parents=True, exist_ok=True)
-    file = options.output / f"{figures['task']}_options.png"
+    file = options.output / f"{figures['task']}_options.svg"
     draw_curves(figures, file)
     print(f"picture    {file}")
     return 0

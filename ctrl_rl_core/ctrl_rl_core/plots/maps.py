@@ -1,0 +1,269 @@
+"""Maps: a task's world, values over it, robots in true size, driven and planned paths, people."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, TwoSlopeNorm
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.geometry.shapes import ArcPath, Box, Shape
+from ctrl_rl_core.geometry.units import Interval
+from ctrl_rl_core.plots.roles import COUNTS, DANGER, FAINT, GOAL, RETURNS, SIGNED, UNKNOWN, VALUES, WALL
+from ctrl_rl_core.plots.style import picture
+from ctrl_rl_core.plots.words import word_at
+from ctrl_rl_core.tasks.regions import ANGLES, position_indices
+from ctrl_rl_core.tasks.task import NavigationTask
+
+Array = NDArray[np.float64]
+_GOAL: dict[str, Any] = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 1.6, "hatch": "//", "zorder": 4}
+_SEEN = {"xy": "seen from above", "xz": "seen from the side"}
+_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
+_MOST_CONTOURS = 14
+_SNAPSHOTS = 6
+_EDGE = [patheffects.withStroke(linewidth=4.0, foreground="white")]
+
+
+def draw_world(axes: Axes, task: NavigationTask, width: float | None = None, words: bool = True) -> None:
+    """Draw walls, obstacles and goal in the task's plane [m].
+
+    Args:
+        axes: To draw on.
+        task: Task whose world is drawn.
+        width: Free width of its corridor [m]; None for the task's own.
+        words: Whether to write the word "goal".
+    """
+    world = task.build_world(width)
+    for shape in (*world.walls, *world.obstacles):
+        axes.add_patch(_solid(shape))
+    for patch in _goal(task, world.path, world.width):
+        axes.add_patch(patch)
+        if words:
+            word_at(axes, "goal", _centre(patch), GOAL)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+
+
+def draw_map(axes: Axes, task: NavigationTask, width: float | None = None, words: bool = True) -> None:
+    """Draw the task's world, with axes [m] over the space within its walls."""
+    draw_world(axes, task, width, words)
+    (across, sides), (up, height) = task.plane_bounds.items()
+    axes.set_xlim(sides)
+    axes.set_ylim(height)
+    name_axes(axes, across, up)
+
+
+def name_axes(axes: Axes, across: str, up: str) -> None:
+    """Name the axes of a map, and say from where it is seen."""
+    axes.set_xlabel(f"{across} [m], {_SEEN['x' + up]}")
+    axes.set_ylabel(f"{up} [m]")
+    axes.set_aspect("equal")
+
+
+def draw_values(
+    axes: Axes, across: ArrayLike, up: ArrayLike, values: ArrayLike, kind: str = "time", span: Any = None
+) -> Any:
+    """Draw values over a map, bright where they are good, with white contours at round steps.
+
+    Args:
+        axes: To draw on.
+        across: Places to the right (m,) [m].
+        up: Places upwards (n,) [m].
+        values: Values (n, m); what is not finite is hatched.
+        kind: "time" (short ones are good), "return" (high ones are good), or "signed" (around 0, with its zero level).
+        span: Least and largest value; None for those that are there.
+
+    Returns:
+        What a bar of colours is made for.
+    """
+    x, y, shown = np.asarray(across), np.asarray(up), np.ma.masked_invalid(np.asarray(values, dtype=float))
+    axes.add_patch(
+        Rectangle((0, 0), 1, 1, transform=axes.transAxes, facecolor=UNKNOWN, edgecolor="white", hatch="//", zorder=-1)
+    )
+    low, high = span or (float(shown.min()), float(shown.max()))
+    look: dict[str, Any] = {"cmap": {"time": VALUES, "return": RETURNS, "signed": SIGNED}[kind]}
+    if kind == "signed":
+        look["norm"] = TwoSlopeNorm(0.0, min(low, -1e-6), max(high, 1e-6))
+    else:
+        look.update(vmin=low, vmax=high)
+    image = axes.pcolormesh(x, y, shown, shading="nearest", rasterized=True, zorder=0, **look)
+    if kind == "signed":
+        if shown.min() < 0.0 < shown.max():
+            axes.contour(x, y, shown, [0.0], colors="black", linewidths=1.5)
+    else:
+        levels = contour_levels(low, high)
+        if len(levels) and min(shown.shape) > 1:
+            axes.contour(x, y, shown, levels, colors="white", linewidths=0.7)
+    axes.grid(visible=False)
+    return image
+
+
+def draw_counts(axes: Axes, across: ArrayLike, up: ArrayLike, counts: ArrayLike, most: float) -> Any:
+    """Draw how often places were met, on a logarithmic scale.
+
+    Args:
+        axes: To draw on.
+        across: Edges of the cells to the right (m + 1,) [m].
+        up: Edges of the cells upwards (n + 1,) [m].
+        counts: Counts (n, m).
+        most: Count of the darkest cell.
+
+    Returns:
+        What a bar of colours is made for.
+    """
+    look: dict[str, Any] = {"cmap": COUNTS, "norm": LogNorm(1.0, max(most, 2.0))}
+    shown = np.ma.masked_less(np.asarray(counts, dtype=float), 1.0)
+    return axes.pcolormesh(np.asarray(across), np.asarray(up), shown, rasterized=True, **look)
+
+
+def contour_levels(low: float, high: float) -> Array:
+    """Return round levels between two values, so many that they can be told apart."""
+    step = next((step for step in _STEPS if (high - low) / step <= _MOST_CONTOURS), _STEPS[-1])
+    levels = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+    return levels[(levels > low) & (levels < high)]
+
+
+def draw_path(
+    axes: Axes,
+    places: ArrayLike,
+    *,
+    planned: bool = False,
+    colour: str = "black",
+    times: ArrayLike | None = None,
+    every: float = 5.0,
+) -> None:
+    """Draw a driven or planned path.
+
+    Args:
+        axes: To draw on.
+        places: Places (n, 2) [m].
+        planned: Whether it is only planned; it is dashed then.
+        colour: Colour of the line, that of its robot where there are several.
+        times: When it was at each place (n,) [s]; there are no marks of time unless given.
+        every: Time between two marks [s].
+    """
+    x, y = np.asarray(places, dtype=float).T
+    axes.plot(x, y, "--" if planned else "-", color=colour, linewidth=2.0, path_effects=_EDGE, zorder=5)
+    if times is None:
+        return
+    stamps = np.asarray(times, dtype=float)
+    for moment in np.arange(every, stamps[-1], every):
+        at = np.array([np.interp(moment, stamps, x), np.interp(moment, stamps, y)])
+        axes.plot(*at, "|", color="white", markeredgecolor=colour, markersize=6, zorder=6)
+        word_at(axes, f"{moment:g} s", (float(at[0]), float(at[1])))
+
+
+def draw_robot(
+    axes: Axes, place: ArrayLike, heading: float, radius: float, colour: str = "white", flies: bool = False
+) -> None:
+    """Draw a robot in true size: its disc with its heading, or the bar of a planar quadrotor at its pitch."""
+    x, y = np.asarray(place, dtype=float)
+    if flies:  # its bar lies across its thrust, at pitch psi clockwise
+        reach = radius * np.array([np.cos(heading), -np.sin(heading)])
+        axes.plot([x - reach[0], x + reach[0]], [y - reach[1], y + reach[1]], color="black", linewidth=2.5, zorder=7)
+        return
+    axes.add_patch(Circle((x, y), radius, facecolor=colour, edgecolor="black", linewidth=1.2, zorder=7))
+    nose = radius * np.array([np.cos(heading), np.sin(heading)])
+    axes.plot([x, x + nose[0]], [y, y + nose[1]], color="black", linewidth=1.2, zorder=8)
+
+
+def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name: str = "") -> None:
+    """Draw a person or another mover in true size where it was nearest, and its way (n, 2) [m]."""
+    axes.plot(*np.asarray(track, dtype=float).T, ":", color=DANGER, linewidth=1.4, zorder=4)
+    x, y = np.asarray(at, dtype=float)
+    axes.add_patch(Circle((x, y), radius, color=DANGER, linewidth=0, zorder=6))
+    if name:
+        word_at(axes, name, (float(x), float(y)), DANGER)
+
+
+def draw_landmark(axes: Axes, name: str, place: ArrayLike) -> None:
+    """Draw a place with its name [m]."""
+    x, y = np.asarray(place, dtype=float)
+    axes.plot(x, y, "s", color=FAINT, markersize=8, zorder=4)
+    word_at(axes, name, (float(x), float(y)))
+
+
+def mark_clearance(axes: Axes, place: ArrayLike, clearance: float) -> None:
+    """Mark the place of the least clearance [m] with a ring and its number."""
+    x, y = np.asarray(place, dtype=float)
+    axes.plot(x, y, "o", color=DANGER, markerfacecolor="none", markersize=10, zorder=8)
+    word_at(axes, f"{clearance:.2f} m", (float(x), float(y)))
+
+
+def draw_paths(path: Path, title: str, task: NavigationTask, panels: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Draw paths in a task's world, with the robot in true size at a few moments.
+
+    Args:
+        path: File to write.
+        title: Finding in words.
+        task: Task of the paths.
+        panels: Paths of each panel by its name: `states` (n, d), and their `outcome`, if any. At most three panels.
+    """
+    names = task.system.build().state_names
+    plane = position_indices(names)
+    angle = next((index for index, name in enumerate(names) if name in ANGLES), None)
+    shown = dict(list(panels.items())[:3])
+    (_, width), (_, height) = task.plane_bounds.items()
+    tall = (2.7 if len(shown) == 1 else 6.0 / len(shown)) * height.length / width.length
+    with picture(path, title, 1, len(shown), height=min(tall + 1.5, 6.0), half=len(shown) == 1,
+                 sharex=True, sharey=True) as (_, axes):  # fmt: skip
+        for ax, (name, entries) in zip(axes[0], shown.items(), strict=True):
+            draw_map(ax, task)
+            ends = [entry["outcome"] for entry in entries if "outcome" in entry]
+            told = f"{name}: {ends.count('GOAL')} of {len(ends)} reach the goal" if ends else name
+            ax.set_title(textwrap.fill(told, 28))
+            for entry in entries:
+                states = np.asarray(entry["states"], dtype=float)
+                places = states[:, plane]
+                draw_path(ax, places)
+                for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
+                    turn = 0.0 if angle is None else states[index, angle]
+                    draw_robot(ax, places[index], turn, task.robot.radius, flies=task.plane == "xz")
+                if entry.get("outcome") == "COLLISION":
+                    ax.plot(*places[-1], "o", color=DANGER, markerfacecolor="none", markersize=10, zorder=8)
+                    word_at(ax, "collision", (float(places[-1, 0]), float(places[-1, 1])), DANGER)
+            if entries:
+                first = np.asarray(entries[0]["states"], dtype=float)[0, plane]
+                word_at(ax, "start", (float(first[0]), float(first[1])))
+            ax.label_outer()
+
+
+def _solid(shape: Shape) -> Patch:
+    if isinstance(shape, Box):
+        corner = (shape.centre[0] - 0.5 * shape.size[0], shape.centre[1] - 0.5 * shape.size[1])
+        angle = float(np.rad2deg(shape.angle))
+        return Rectangle(corner, *shape.size, angle=angle, rotation_point="center", color=WALL, linewidth=0, zorder=3)
+    return Circle(shape.centre, shape.radius, color=WALL, linewidth=0, zorder=3)
+
+
+def _goal(task: NavigationTask, path: ArcPath | None, width: float | None) -> list[Patch]:
+    goal = task.goal.region
+    if path is not None and width is not None:
+        return [_stretch(path, goal.intervals["s"], width)] if "s" in goal.intervals else []
+    if goal.disc is not None:
+        return [Circle(goal.disc.centre, goal.disc.radius, **_GOAL)]
+    sides = [goal.intervals[name] for name in ("x", "y", "z") if name in goal.intervals]
+    return (
+        [Rectangle((sides[0].low, sides[1].low), *(side.length for side in sides), **_GOAL)] if len(sides) == 2 else []
+    )
+
+
+def _stretch(path: ArcPath, along: Interval, width: float) -> Polygon:
+    """Return the part of a corridor between two arc lengths."""
+    x, y, heading = path.pose(np.linspace(along.low, along.high, 30)).T
+    sides = [np.column_stack((x - e * np.sin(heading), y + e * np.cos(heading))) for e in (0.5 * width, -0.5 * width)]
+    return Polygon(np.vstack((sides[0], sides[1][::-1])), **_GOAL)
+
+
+def _centre(patch: Patch) -> tuple[float, float]:
+    """Return the middle of a patch's outline in the units of its axes."""
+    points = patch.get_patch_transform().transform(patch.get_path().vertices)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return float(0.5 * (low[0] + high[0])), float(0.5 * (low[1] + high[1]))

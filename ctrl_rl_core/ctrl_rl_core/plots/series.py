@@ -1,0 +1,78 @@
+"""What happened over the time of a run: at most three quantities over one axis of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike, NDArray
+
+from ctrl_rl_core.plots.roles import DANGER, FAINT, NO_HELP, OURS_COLOUR
+from ctrl_rl_core.plots.words import name_at_end
+
+Array = NDArray[np.float64]
+MOST = 3
+
+
+@dataclass(frozen=True)
+class Series:
+    """A quantity over the time of a run.
+
+    Attributes:
+        title: Quantity and unit.
+        times: Times (n,) [s].
+        values: Values (n,).
+        raw: The same before the filter, and its times: (times, values).
+        limit: Limit that it must keep.
+        steps: Whether a value holds until the next, as a command does.
+    """
+
+    title: str
+    times: ArrayLike
+    values: ArrayLike
+    raw: tuple[ArrayLike, ArrayLike] | None = None
+    limit: float | None = None
+    steps: bool = False
+
+
+def draw_series(
+    axes: Sequence[Axes] | NDArray[Any],
+    series: Sequence[Series],
+    duration: float,
+    acted: tuple[ArrayLike, ArrayLike] | None = None,
+) -> None:
+    """Draw quantities below each other over one axis of time.
+
+    Args:
+        axes: Panels, from top to bottom, one for each quantity.
+        series: At most three quantities.
+        duration: Time of the run [s].
+        acted: When the filter acted: times (n,) [s], and whether it did from each on.
+    """
+    for ax, one in zip(axes, series, strict=True):
+        look = "steps-post" if one.steps else "default"
+        if one.raw is not None:
+            ax.plot(*one.raw, color=FAINT, linestyle=NO_HELP.line, drawstyle=look)
+        ax.plot(one.times, one.values, color=OURS_COLOUR, drawstyle=look)
+        if acted is not None:
+            for begin, end in _stretches(*acted, duration):
+                ax.axvspan(begin, end, color=DANGER, alpha=0.3, linewidth=0)
+        if one.limit is not None:
+            ax.axhline(one.limit, color=DANGER, linewidth=0.8)
+            name_at_end(ax, f"{one.limit:g}", one.limit, DANGER)
+        ax.set_title(one.title)
+        ax.set_xlim(0.0, max(duration, 1e-3))
+        ax.tick_params(labelbottom=False)
+    axes[-1].tick_params(labelbottom=True)
+    axes[-1].set_xlabel("time [s]")
+
+
+def _stretches(times: ArrayLike, acted: ArrayLike, duration: float) -> list[tuple[float, float]]:
+    """Return begin and end [s] of each stretch in which the filter acted."""
+    stamps, on = np.asarray(times, dtype=float), np.asarray(acted, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(int)))
+    ends = np.append(stamps, duration)
+    return [(float(ends[begin]), float(ends[end])) for begin, end in edges.reshape(-1, 2)]

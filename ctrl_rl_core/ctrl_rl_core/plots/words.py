@@ -1,0 +1,150 @@
+"""Places words in a picture where they cover no data: names at the right end of lines, words beside places."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+from ctrl_rl_core.plots.roles import SMALL
+
+_NAME, _WORD = "name of a line", "word beside a place"
+_GAP = 2.0
+_CLOSE = 4.0
+"""Distance of points by which a line is told [pixels]."""
+_REACH = (7.0, 12.0, 18.0, 28.0, 42.0, 60.0)
+_DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
+_SIDES: dict[int, Literal["left", "right", "center"]] = {1: "left", -1: "right", 0: "center"}
+_HEIGHTS: dict[int, Literal["bottom", "top", "center"]] = {1: "bottom", -1: "top", 0: "center"}
+
+
+def name_at_end(axes: Axes, name: str, height: float, colour: str) -> None:
+    """Write a line's name at the right edge of its panel.
+
+    Args:
+        axes: Panel of the line.
+        name: Its name.
+        height: Where it ends [unit of the y axis].
+        colour: Colour of the line.
+    """
+    axes.annotate(
+        name,
+        (1.0, height),
+        (6.0, 0.0),
+        xycoords=axes.get_yaxis_transform(),
+        textcoords="offset points",
+        verticalalignment="center",
+        color=colour,
+        annotation_clip=False,
+        gid=_NAME,
+    )
+
+
+def word_at(axes: Axes, word: str, place: tuple[float, float], colour: str = "black") -> None:
+    """Write a word beside a place, on that side where it covers no line and no other word.
+
+    Args:
+        axes: Panel of the place.
+        word: Word to write.
+        place: Place [units of the axes].
+        colour: Colour of the word.
+    """
+    axes.annotate(
+        word,
+        place,
+        (_REACH[0], _REACH[0]),
+        textcoords="offset points",
+        color=colour,
+        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.8, "linewidth": 0},
+        gid=_WORD,
+        zorder=9,
+    )
+
+
+def write_small(axes: Axes, word: str, place: tuple[float, float], rotation: float = 0.0) -> None:
+    """Write a word in the middle of a place, in the smallest type that there is."""
+    axes.text(*place, word, horizontalalignment="center", verticalalignment="center", size=SMALL, rotation=rotation)
+
+
+def place_names(axes: Axes) -> None:
+    """Move the names at the right edge of a panel apart, in the order of their lines."""
+    names = [text for text in axes.texts if isinstance(text, Annotation) and text.get_gid() == _NAME]
+    if not names:
+        return
+    points = axes.get_figure(root=True).dpi / 72.0  # type: ignore[union-attr]
+    ends = [axes.transData.transform((0.0, float(text.xy[1])))[1] for text in names]
+    heights = [text.get_window_extent().height + _GAP * points for text in names]
+    order = np.argsort(ends)
+    centres = np.array([ends[index] for index in order])
+    sizes = np.array([heights[index] for index in order])
+    low, high = axes.bbox.y0 + 0.5 * sizes, axes.bbox.y1 - 0.5 * sizes
+    for _ in range(500):
+        for below, above in pairwise(range(len(order))):
+            lack = 0.5 * (sizes[below] + sizes[above]) - (centres[above] - centres[below])
+            if lack > 0.0:
+                centres[below] -= 0.5 * lack
+                centres[above] += 0.5 * lack
+        if sizes.sum() < axes.bbox.height:  # else there is no room for all beside the panel
+            centres = np.clip(centres, low, high)
+    for centre, index in zip(centres, order, strict=True):
+        names[index].xyann = (6.0, (centre - ends[index]) / points)
+
+
+def place_words(axes: Axes) -> None:
+    """Move each word to the first place beside its own where it covers no line and no other word, inside the panel."""
+    words = [text for text in axes.texts if isinstance(text, Annotation) and text.get_gid() == _WORD]
+    points = line_points(axes)
+    there: list[Bbox] = [text.get_window_extent() for text in axes.texts if text not in words]
+    for word in words:
+        best, least = None, np.inf
+        for reach in _REACH:
+            for across, up in _DIRECTIONS:
+                word.xyann = (across * reach, up * reach)
+                word.set_horizontalalignment(_SIDES[across])
+                word.set_verticalalignment(_HEIGHTS[up])
+                box = word.get_window_extent().padded(2.0)
+                covered = covers(box, points) + 50.0 * sum(box.overlaps(other) for other in there)
+                covered += 0.0 if _within(box, axes.bbox) else 1000.0
+                if covered < least:
+                    best, least = (reach, across, up), covered
+            if least == 0.0:
+                break
+        assert best is not None
+        reach, across, up = best
+        word.xyann = (across * reach, up * reach)
+        word.set_horizontalalignment(_SIDES[across])
+        word.set_verticalalignment(_HEIGHTS[up])
+        there.append(word.get_window_extent())
+
+
+def covers(box: Bbox, points: NDArray[np.float64]) -> int:
+    """Return how many points (n, 2) lie in a box."""
+    inside = (points[:, 0] > box.x0) & (points[:, 0] < box.x1) & (points[:, 1] > box.y0) & (points[:, 1] < box.y1)
+    return int(inside.sum())
+
+
+def line_points(axes: Axes) -> NDArray[np.float64]:
+    """Return points (n, 2) of a panel's lines in pixels, so close that no word slips between them."""
+    found = [np.empty((0, 2))]
+    for line in axes.lines:
+        if line.get_transform() != axes.transData or not line.get_visible():
+            continue  # a thin line across the panel marks a limit
+        at = axes.transData.transform(np.column_stack(line.get_data()).astype(float))
+        at = at[np.isfinite(at).all(axis=1)]
+        found.append(at)
+        if len(at) > 1 and line.get_linestyle() not in ("None", "", " "):
+            way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(at, axis=0).T))))
+            steps = np.arange(0.0, way[-1], _CLOSE)
+            found.append(np.column_stack([np.interp(steps, way, column) for column in at.T]))
+    every = np.vstack(found)
+    low, high = np.asarray(axes.bbox.min) - 1.0, np.asarray(axes.bbox.max) + 1.0  # what lies beyond is cut off
+    return every[((every >= low) & (every <= high)).all(axis=1)]
+
+
+def _within(box: Bbox, outer: Bbox) -> bool:
+    return bool(box.x0 >= outer.x0 and box.x1 <= outer.x1 and box.y0 >= outer.y0 and box.y1 <= outer.y1)

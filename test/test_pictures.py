@@ -1,0 +1,242 @@
+"""Every picture is drawn, from committed results or something small, and no word in it is cut or in the way."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ctrl_rl_core.plots import Line, Panel, draw_learning, draw_paths, picture, word_at
+from matplotlib.figure import Figure
+from picture_faults import faults_of
+
+from ctrl_rl_core import Axis, ValueGrid, load_navigation_task
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Faults of each picture that is written while the test runs, by its title."""
+    found = {}
+    write = Figure.savefig
+
+    def savefig(figure, file, **options):
+        write(figure, file, **options)
+        found[f"{len(found)}: {figure.get_suptitle()}"] = faults_of(figure)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    return found
+
+
+def assert_clean(drawn):
+    assert drawn
+    assert {name: faults for name, faults in drawn.items() if faults} == {}
+
+
+def read(name, kind):
+    from ctrl_rl_training.experiments.results import read_figures
+
+    return read_figures(RESULTS / f"{name}.json", kind)
+
+
+@pytest.mark.parametrize("learner", ["ppo", "sac"])
+def test_the_ladder(drawn, tmp_path, learner):
+    from ctrl_rl_benchmarks.experiments.plots import draw_ladder
+    from ctrl_rl_benchmarks.experiments.results import LadderFigures
+
+    assert len(draw_ladder(read("ladder", LadderFigures), learner, tmp_path)) == 2
+    assert_clean(drawn)
+
+
+def test_the_tasks_of_the_ladder(drawn, tmp_path):
+    from ctrl_rl_benchmarks.ladder.page import draw_pages
+    from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
+
+    list(draw_pages([load_ladder_task(name) for name in LADDER], tmp_path / "tasks.png"))
+    assert_clean(drawn)
+
+
+@pytest.mark.parametrize("name", ["car_ttr", "quad_ttr"])
+def test_learning_by_the_time_to_reach(drawn, tmp_path, name):
+    from ttr_reward_node.training.plots import Learning, draw_all
+
+    figures = read(f"ttr_training_{name}", Learning)
+    assert len(list(draw_all(figures, load_navigation_task(name), "ppo", tmp_path))) == 4
+    assert_clean(drawn)
+
+
+@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
+def test_learning_with_optimal_control(drawn, tmp_path, name):
+    from oc_baseline_node.training.plots import Learning, draw_all
+
+    list(draw_all(read(f"oc_training_{name}", Learning), load_navigation_task(name), tmp_path))
+    assert_clean(drawn)
+
+
+def test_mpc_in_the_simulator(drawn, tmp_path):
+    paths = json.loads((RESULTS / "oc_mpc_quad_navigation.json").read_text())["figures"]["paths"]
+    draw_paths(tmp_path / "mpc.png", "MPC in the simulator", load_navigation_task("quad_navigation"), paths)
+    corridor = [{"outcome": "COLLISION", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}]
+    draw_paths(tmp_path / "corridor.png", "A corridor", load_navigation_task("curved_corridor"), {"MPC": corridor})
+    assert_clean(drawn)
+
+
+@pytest.mark.parametrize("name", ["tool_delivery", "water_filling", "delivery_team", "water_filling_long"])
+def test_learning_of_options(drawn, tmp_path, name):
+    from option_coordinator.training.plots import Learning, draw_curves
+
+    draw_curves(read(f"options_{name}", Learning), tmp_path / "options.svg")
+    assert_clean(drawn)
+
+
+@pytest.mark.parametrize(
+    "file",
+    [*RESULTS.glob("koopman_figure*.json"), RESULTS / "koopman_last_policy.json", RESULTS / "koopman_cheetah_run.json"],
+    ids=lambda file: file.stem,
+)
+def test_learning_of_koopman_policies(drawn, tmp_path, file):
+    from koopman_lqr_controller.training.experiments.plots import draw
+
+    draw(file, tmp_path / "koopman.svg")
+    assert_clean(drawn)
+
+
+@pytest.mark.parametrize("folder", [file.parent for file in ROOT.glob("docs/analysis/*/analysis.json")])
+def test_analyses(drawn, tmp_path, folder):
+    from koopman_lqr_controller.training.analysis.plots import draw_all
+
+    assert draw_all(json.loads((folder / "analysis.json").read_text()), tmp_path)
+    assert_clean(drawn)
+
+
+def test_values(drawn, tmp_path):
+    from ttr_reward_node.plots.value_slices import draw_slices
+
+    task = load_navigation_task("car_ttr")
+    axes = [Axis("x", "m", -5.0, 5.0, 21), Axis("y", "m", -5.0, 5.0, 21), Axis("theta", "rad", -np.pi, np.pi, 8, True)]
+    x, y = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
+    distance = np.repeat(np.hypot(x - 4.0, y - 4.0)[..., None], 8, axis=2)
+    time = ValueGrid(distance.astype(np.float32), tuple(axes), "time_to_reach", task.name, "0" * 64, "none", 0.0)
+    draw_slices(time, task, tmp_path / "time.png")
+    draw_slices(replace(time, kind="avoid", values=time.values - 5.0), task, tmp_path / "safe.png")
+    assert_clean(drawn)
+
+
+def test_optimal_control_value(drawn, tmp_path):
+    from oc_baseline_node.plots import draw_heat_map
+
+    from oc_baseline_node import find_value, load_value
+
+    task = load_navigation_task("car_navigation")
+    draw_heat_map(load_value(find_value("car_navigation")), task, tmp_path / "value.png", cells=40)
+    assert_clean(drawn)
+
+
+def test_cost_of_the_solver(drawn, tmp_path):
+    from ttr_reward_node.plots.cost import draw_cost
+
+    rows = {}
+    for row in json.loads((RESULTS / "ttr_cost.json").read_text())["rows"]:
+        system, _, points = row["method"].rpartition(", ")
+        if row["metric"] == "CPU time":
+            rows[row["method"]] = {"system": system, "points": int(points.split()[0].replace(",", "")),
+                                   "cpu_s": row["mean"], "method": "semi_lagrangian"}  # fmt: skip
+    draw_cost(list(rows.values()), tmp_path / "cost.svg")
+    assert_clean(drawn)
+
+
+def test_a_drive_and_a_team(drawn, tmp_path):
+    from ctrl_rl_bringup.corridor.filter_record import FilterRecord
+    from ctrl_rl_bringup.corridor.mover_tracks import MoverTrack
+    from ctrl_rl_bringup.corridor.plot import draw_drive
+    from ctrl_rl_bringup.corridor.report import DriveReport
+    from ctrl_rl_bringup.team.plot import draw_team
+    from ctrl_rl_bringup.team.report import TeamRun
+    from ctrl_rl_bringup.team.stack import TeamConfig
+    from option_coordinator.environments.timeline import Span
+
+    from option_coordinator import load_team
+
+    times = np.linspace(0.0, 20.0, 101)
+    path = load_navigation_task("curved_corridor").build_world().path
+    truth = np.column_stack((times, path.pose(times / 5.0)[:, :2]))
+    columns = np.column_stack((times, 0.2 + 0.0 * times, np.sin(times)))
+    mover = MoverTrack(0.15, np.column_stack((times, 2.0 - 0.1 * times, 0.0 * times)))
+    record = FilterRecord(times, np.where(times > 10.0, 2, 1), columns[:, 1:], 0.5 * columns[:, 1:], 0.1 + 0.0 * times)
+    report = DriveReport(
+        "curved_corridor", None, 1, 20.0, 0, 0.1, truth, truth, columns[:, :2], columns, columns, columns[:, [0, 2]],
+        np.array([0.01]), 100, 0, columns, None, (mover,), record,
+    )  # fmt: skip
+    draw_drive(report, tmp_path / "path.png")
+    team = load_team("delivery_team")
+    names = tuple(team.robots)
+    spans = tuple(Span(name, option, 10.0 * k, 10.0 * k + 9.0, k < 2)
+                  for name in names for k, option in enumerate(list(team.options)[:3]))  # fmt: skip
+    paths = {name: np.column_stack((np.linspace(-1.0, 1.0, 20), np.full(20, 0.3 * k))) for k, name in enumerate(names)}
+    run = TeamRun(names, "spread", spans, True, 30.0, 9, 30.0, {}, paths, 0.1, np.array([0.01]), 10, 0)
+    draw_team(run, load_navigation_task(TeamConfig(tmp_path).task), team, tmp_path / "team.png")
+    assert_clean(drawn)
+
+
+def test_what_is_wrong_is_found(drawn, tmp_path):
+    with picture(tmp_path / "bad.png", half=True) as (figure, ((ax,),)):
+        ax.plot([0.0, 1.0], [0.0, 1.0])
+        ax.text(0.5, 0.5, "in the way", horizontalalignment="center")
+        ax.text(0.0, 0.9, "small", size=6.0)
+        figure.text(0.9, 0.02, "beyond the edge of the picture")
+    (faults,) = drawn.values()
+    assert any("'in the way' covers" in fault for fault in faults)
+    assert "'small' has 6 pt" in faults
+    assert any("'beyond the edge of the picture' leaves the canvas" in fault for fault in faults)
+
+
+def test_lines_by_their_number_of_seeds(tmp_path):
+    steps, random = np.arange(1, 6) * 1000.0, np.random.default_rng(0)
+    counts = {"oc_ppo": 2, "ppo": 5, "oc_corrected": 12}
+    ends = {"ppo": 3}
+    lines = [
+        Line(name, name, steps[: ends.get(name)], random.random((count, 5))[:, : ends.get(name)])
+        for name, count in counts.items()
+    ]
+    held = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda figure, *_, **__: held.update(figure=figure))
+        draw_learning(tmp_path / "x.svg", "Seeds", [Panel("", lines)], "return")
+    (ax,) = held["figure"].axes
+    assert len(ax.collections) == 1  # a band from 10 seeds on
+    assert sum(line.get_linewidth() == 0.7 for line in ax.lines) == 5  # a line a seed below
+    assert sum(line.get_linestyle() == "None" and len(line.get_xdata()) == 5 for line in ax.lines) == 2  # points
+    assert [line.get_markerfacecolor() for line in ax.lines if len(line.get_xdata()) == 1] == ["white"]  # ended early
+    assert "ppo (n\u00a0=\u00a05)" in {text.get_text() for text in ax.texts}
+
+
+def test_a_word_goes_where_it_covers_nothing(drawn, tmp_path):
+    with picture(tmp_path / "word.png", half=True) as (_, ((ax,),)):
+        ax.plot(np.linspace(0.0, 1.0, 50), np.linspace(0.0, 1.0, 50))
+        for place in (0.2, 0.5, 0.8):
+            word_at(ax, "a word", (place, place))
+    assert_clean(drawn)
+
+
+OWN = ("ctrl_rl_core/ctrl_rl_core/plots/", "test/test_pictures.py", "test/picture_faults.py")
+LOOKS = re.compile(
+    r"""["']tab:|\bcmap=["']|\b(font|label|title)size=|\bfigsize=|#[0-9A-Fa-f]{6}\b"""
+    r"""|color(map)?s?=["'](?!white|none)"""
+)
+
+
+def test_nothing_else_names_a_colour_a_size_or_a_font():
+    import subprocess
+
+    files = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    wrong = [
+        f"{name}:{number}: {line.strip()}"
+        for name in files.splitlines()
+        if not name.startswith(OWN) and "/test/" not in name and (ROOT / name).is_file()
+        for number, line in enumerate((ROOT / name).read_text(encoding="utf-8").splitlines(), 1)
+        if LOOKS.search(line)
+    ]
+    assert wrong == []
