@@ -10,7 +10,7 @@ setup(
     maintainer="Seed 5ee16a79 maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi", "tasks/task_files/*.yaml", "policies/pretrained/*"]},
+    package_data={NAME: ["py.typed", "*.pyi", "robots/*.yaml", "tasks/task_files/*.yaml", "policies/pretrained/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -54,7 +54,7 @@ BAD = {
     "navigator": ("map:={folder}/none.yaml", "none.yaml: there is no such file"),
     "map_server": ("map:=nowhere", "no map 'nowhere': there are corridor, maze, warehouse"),
     "flight_guard": ("task:=car_ttr", "task 'car_ttr' has no planar quadrotor"),
-    "safety_filter": ("robot:=nobody", "no robot model 'nobody': there are turtlebot3_burger"),
+    "safety_filter": ("robot:=nobody", "no robot 'nobody': there are jackal"),
 }
 
 

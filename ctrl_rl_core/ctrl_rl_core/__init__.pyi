@@ -44,6 +44,9 @@ from .processes.exclusive_lock import LockError as LockError
 from .processes.exclusive_lock import exclusive_lock as exclusive_lock
 from .processes.workers import WorkersError as WorkersError
 from .processes.workers import map_in_processes as map_in_processes
+from .robots.robot import Robot as Robot
+from .robots.robot import RobotError as RobotError
+from .robots.robot import find_robot as find_robot
 from .ros.node import COMMAND as COMMAND
 from .ros.node import RESULT as RESULT
 from .ros.node import SENSOR as SENSOR

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from ctrl_rl_core import Robot
 from ctrl_rl_navigation.errors import NavigationError
+
+MARGIN = 0.025
+"""Distance to obstacles in addition to the robot's size [m]."""
 
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """A robot that drives forwards and turns on the spot; the defaults are a TurtleBot3 burger's.
+    """A robot that drives forwards and turns on the spot, see `limits_of`.
 
     Attributes:
         speed: Largest speed [m/s].
@@ -26,12 +30,12 @@ class DriveLimits:
         NavigationError: A number is not finite, is zero or less, or a length is without a width.
     """
 
-    speed: float = 0.22
-    turn_rate: float = 2.0
-    acceleration: float = 1.0
-    turn_acceleration: float = 6.0
-    radius: float = 0.125
-    margin: float = 0.025
+    speed: float
+    turn_rate: float
+    acceleration: float
+    turn_acceleration: float
+    radius: float
+    margin: float = MARGIN
     length: float = 0.0
     width: float = 0.0
 
@@ -51,3 +55,24 @@ class DriveLimits:
     def gap(self) -> float:
         """Least distance of an obstacle to the core of the robot [m]: to its rectangle, or to a round one's middle."""
         return self.margin if self.width else self.radius + self.margin
+
+
+def limits_of(robot: Robot, margin: float = MARGIN) -> DriveLimits:
+    """Return the size of a robot, and what its drivers ask it for, with a margin to obstacles [m].
+
+    Raises:
+        NavigationError: It does not drive on wheels.
+    """
+    if robot.kind != "differential_drive":
+        raise NavigationError(f"robot '{robot.name}' does not drive on wheels")
+    plan = robot.plan
+    return DriveLimits(
+        plan.speed,
+        plan.turn_rate,
+        plan.acceleration,
+        plan.turn_acceleration,
+        robot.radius,
+        margin,
+        robot.length,
+        robot.width,
+    )

@@ -17,7 +17,8 @@ ARGUMENTS = {
     "pose": ("tf", "where the pose comes from: tf (map -> base) or amcl_pose"),
     "stamped": ("true", "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"),
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
-    "max_speed": ("0.22", "largest speed [m/s]"),
+    "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
+    "max_speed": ("", "largest speed [m/s]; empty for the robot's"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
     "rviz": ("false", "whether to start RViz"),
 }
@@ -29,6 +30,16 @@ def generate_launch_description() -> LaunchDescription:
     stamped = ParameterValue(given["stamped"], value_type=bool)
     clock = {"use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool)}
     view = PathJoinSubstitution([FindPackageShare("ctrl_rl_navigation"), "config", "navigation.rviz"])
+    robot = ParameterValue(given["robot"], value_type=str)
+    # Of the robot where it is not given: a launch file cannot leave a parameter out.
+    words = (
+        "float('",
+        given["max_speed"],
+        "' or __import__('ctrl_rl_core').find_robot('",
+        given["robot"],
+        "').plan.speed)",
+    )
+    fastest = PythonExpression(words)
     return LaunchDescription(
         [
             *(
@@ -49,6 +60,7 @@ def generate_launch_description() -> LaunchDescription:
                     {
                         "enable_stamped_cmd_vel": stamped,
                         "timeout": ParameterValue(given["timeout"], value_type=float),
+                        "robot": robot,
                         **clock,
                     }
                 ],
@@ -62,7 +74,8 @@ def generate_launch_description() -> LaunchDescription:
                     {
                         "enable_stamped_cmd_vel": stamped,
                         "pose": ParameterValue(given["pose"], value_type=str),
-                        "max_speed": ParameterValue(given["max_speed"], value_type=float),
+                        "robot": robot,
+                        "max_speed": ParameterValue(fastest, value_type=float),
                         **clock,
                     }
                 ],

@@ -10,11 +10,12 @@ import pytest
 from ctrl_rl_navigation.cli.simulation import Drive, DriveSimulation, Errors
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
+from ctrl_rl_navigation.robot import limits_of
 
-from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation import DriveLimits
+from ctrl_rl_core import OccupancyMap, find_robot
 
 NONE = np.empty((0, 2))
+BURGER = limits_of(find_robot("turtlebot3_burger"))
 
 
 def room(*blocks: tuple[slice, slice]) -> OccupancyMap:
@@ -45,7 +46,7 @@ def test_it_reaches_the_goal_round_an_obstacle_with_drift_and_an_error_of_the_po
     assert drive.state is NavigatorState.REACHED
     assert not drive.collided
     assert drive.distance < 0.35
-    assert drive.seconds < 1.6 * 2.1 / DriveLimits().speed
+    assert drive.seconds < 1.6 * 2.1 / BURGER.speed
 
 
 def test_it_goes_round_an_obstacle_that_the_map_has_not(tmp_path: Path) -> None:
@@ -93,7 +94,7 @@ def test_where_obstacles_let_it_come_no_nearer_it_arrives_a_bit_farther_away(nav
 
 @pytest.fixture
 def navigator() -> Navigator:
-    navigator = Navigator(DriveLimits(), NavigatorOptions(inline=True))
+    navigator = Navigator(BURGER, NavigatorOptions(inline=True))
     navigator.set_map(room())
     navigator.poll(0.0)
     return navigator
@@ -101,7 +102,7 @@ def navigator() -> Navigator:
 
 def test_it_waits_for_what_it_lacks_and_stands_off_the_map(navigator: Navigator) -> None:
     pose = np.array((1.0, 1.0, 0.0))
-    assert Navigator(DriveLimits()).decide(0.0, pose, NONE).message == "waiting for a map"
+    assert Navigator(BURGER).decide(0.0, pose, NONE).message == "waiting for a map"
     assert navigator.decide(0.0, pose, NONE).message == "waiting for a goal"
     navigator.set_goal(Goal((2.5, 1.0)))
     assert navigator.decide(0.1, pose, NONE).state is NavigatorState.DRIVING
@@ -145,7 +146,7 @@ def decide_until(navigator: Navigator, pose: np.ndarray, done: Callable[[], bool
 
 
 def test_a_solve_in_the_background_leaves_the_old_goal_until_it_is_ready() -> None:
-    navigator = Navigator(DriveLimits())
+    navigator = Navigator(BURGER)
     navigator.set_map(room())
     pose = np.array((1.0, 1.0, 0.0))
     navigator.set_goal(Goal((2.5, 1.0)))

@@ -1,6 +1,7 @@
 """What the explorer is made of: a map from scans, echoes that move, and roll-outs of a rectangular robot."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def test_a_long_robot_fits_through_a_gap_that_a_disc_around_it_does_not() -> Non
 
 def test_a_length_needs_a_width() -> None:
     with pytest.raises(NavigationError, match="width"):
-        DriveLimits(length=0.5)
+        replace(LONG, length=0.5, width=0.0)
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,20 @@
 """The time to reach on a map against geometry that can be said by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from ctrl_rl_navigation.maps import load_map, map_names
 from ctrl_rl_navigation.maps.generated import MAPS, make_map
+from ctrl_rl_navigation.robot import limits_of
 from ctrl_rl_navigation.values.map_solver import CancelledError, MapSolver
 from ctrl_rl_navigation.values.map_value import path_length
 
-from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation import DriveLimits, NavigationError
+from ctrl_rl_core import OccupancyMap, find_robot
+from ctrl_rl_navigation import NavigationError
 
-LIMITS = DriveLimits()
+LIMITS = limits_of(find_robot("turtlebot3_burger"))
 RADIUS = 0.1
 
 
@@ -104,7 +106,7 @@ def test_impossible_goals_are_refused_and_unwanted_work_ends(two_rooms: Occupanc
     solver.solve(tuple(two_rooms.cell_to_world(20, 30)), RADIUS, None, done.append)
     assert done[-1] > 0.8
     with pytest.raises(NavigationError, match="radius"):
-        DriveLimits(radius=math.nan)
+        replace(LIMITS, radius=math.nan)
 
 
 @pytest.mark.parametrize("name", MAPS)

@@ -6,17 +6,17 @@ begins with zeros. The driver, the robot and a localiser are started elsewhere.
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = {
-    "robot": ("turtlebot3_burger", "constants of the robot: a name that the filter knows, or a .yaml file"),
+    "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "mover_speed": ("0.0", "largest speed of people and other robots around [m/s]"),
     "use_map": ("false", "whether the topic map tells what never moves"),
     "pose": ("tf", "where the pose on the map comes from: tf, amcl_pose or odometry"),
     "stamped": ("true", "velocities are TwistStamped (Jazzy), else Twist (Humble)"),
-    "largest_speed": ("0.22", "speed above which the watchdog refuses a command [m/s]"),
+    "largest_speed": ("", "speed above which the watchdog refuses a command [m/s]; empty for the robot's"),
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
 }
@@ -29,6 +29,15 @@ def generate_launch_description() -> LaunchDescription:
         "enable_stamped_cmd_vel": ParameterValue(given["stamped"], value_type=bool),
         "use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool),
     }
+    # Of the robot where it is not given: a launch file cannot leave a parameter out.
+    words = (
+        "float('",
+        given["largest_speed"],
+        "' or __import__('ctrl_rl_core').find_robot('",
+        given["robot"],
+        "').speed)",
+    )
+    limit = PythonExpression(words)
     return LaunchDescription(
         [
             *(
@@ -57,7 +66,8 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=[
                     {
                         "timeout": ParameterValue(given["timeout"], value_type=float),
-                        "largest_speed": ParameterValue(given["largest_speed"], value_type=float),
+                        "robot": ParameterValue(given["robot"], value_type=str),
+                        "largest_speed": ParameterValue(limit, value_type=float),
                         **both,
                     }
                 ],

@@ -7,12 +7,12 @@ from ctrl_rl_safety.models.motion import motion_of, next_speeds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ctrl_rl_core import find_robot
 from ctrl_rl_safety import RobotModel
 
 pytest.importorskip("sim_bridge")
 from sim_bridge.engines.planar_geometry import wheel_speeds
 from sim_bridge.engines.planar_parts import wheeled_model
-from sim_bridge.simulation.bodies import DRIVES
 
 STEP = 0.02
 speeds = st.floats(-2.0, 2.0)
@@ -25,7 +25,7 @@ rates = st.floats(-6.0, 6.0)
 def test_limits_that_wheels_share_are_those_of_an_engines_motors(
     body: str, v: float, omega: float, v_c: float, omega_c: float, weakness: float
 ) -> None:
-    wheels, torque = wheeled_model(DRIVES[body].urdf), DRIVES[body].torque / weakness
+    wheels, torque = wheeled_model(f"{body}.urdf"), find_robot(body).wheels.torque / weakness
     (own, shared), radius, track = wheels.answers, wheels.wheel_radius, wheels.wheel_separation
     acceleration, turn_acceleration = radius * (own + shared) * torque, 2.0 * radius / track * (own - shared) * torque
     model = RobotModel(

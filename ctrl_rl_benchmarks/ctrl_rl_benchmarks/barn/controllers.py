@@ -25,25 +25,27 @@ from ctrl_rl_benchmarks.barn.drive import LIDAR_X, PERIOD, Controller, Sensed
 from ctrl_rl_benchmarks.barn.dynamic_window import DynamicWindow
 from ctrl_rl_benchmarks.barn.policy_driver import PolicyDriver
 from ctrl_rl_benchmarks.barn.scenarios import Scenario
+from ctrl_rl_core import find_robot
 
 Array = NDArray[np.float64]
 
+_JACKAL = find_robot("jackal")
 JACKAL = DriveLimits(
     speed=1.5,
     turn_rate=3.0,
     acceleration=5.0,
     turn_acceleration=15.0,
-    radius=0.333,
+    radius=_JACKAL.radius,
     margin=0.03,
-    length=0.508,
-    width=0.43,
+    length=_JACKAL.length,
+    width=_JACKAL.width,
 )
 """A Jackal, a little below its limits."""
 FILTERED_JACKAL = replace(JACKAL, margin=0.07)
 """A Jackal above the safety filter, which keeps farther away from what it cannot see exactly."""
 DELAY = 0.1
 """Time from a command to its effect and until the next one [s]."""
-DECELERATION = 4.0
+DECELERATION = _JACKAL.braking
 """Deceleration with which the robot brakes [m/s^2]."""
 TOLERANCE = 0.3
 """Distance from the goal at which controllers stop [m], well within the benchmark's."""

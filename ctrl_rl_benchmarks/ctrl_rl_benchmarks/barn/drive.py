@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from ctrl_rl_benchmarks.barn.scenarios import LIMIT, Scenario
 from ctrl_rl_benchmarks.barn.score import LOW, score
-from ctrl_rl_core import Outcome, ScanGeometry
+from ctrl_rl_core import Outcome, ScanGeometry, find_robot
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
 
 PERIOD = 0.05
 """Time from command to command [s]; each has a scan of its own."""
-LIDAR_X = 0.055
+LIDAR_X = find_robot("jackal").lidar.x
 """Position of the lidar ahead of the robot's middle [m]."""
 _MOVED = 0.1
 """The clock starts when the robot is so far from its start [m]."""

@@ -13,7 +13,7 @@ from ctrl_rl_benchmarks.barn.path_file import read_path
 from ctrl_rl_benchmarks.barn.plugin_file import read_keyframes
 from ctrl_rl_benchmarks.barn.world_file import WorldFile, read_world
 from ctrl_rl_benchmarks.errors import BenchmarkError
-from ctrl_rl_core import Box, Disc, NavigationTask, Shape
+from ctrl_rl_core import Box, Disc, NavigationTask, Shape, find_robot
 
 STATIC, MOVING = 300, 60
 """Numbers of worlds; as in the challenge the moving ones follow the static ones."""
@@ -83,14 +83,15 @@ def _content(
     shapes: list[Shape] = [*world.cylinders, *world.boxes]
     places = np.array([start[:2], goal, *(shape.centre for shape in shapes)])
     (left, bottom), (right, top) = (places.min(axis=0) - _ROOM).tolist(), (places.max(axis=0) + _ROOM).tolist()
-    turns = "-4.0 .. 4.0 rad/s"
+    jackal = find_robot("jackal")
+    turns = f"{-jackal.turn_rate} .. {jackal.turn_rate} rad/s"
     content: dict[str, Any] = {
         "name": f"barn_{number}",
         "kind": "navigation",
         "about": "A Jackal drives through a world of the BARN challenge.",
         "source": f"BARN challenge, world {number}",
-        "system": {"model": "dubins_car", "controls": {"v": "2.0 m/s", "omega": turns}},
-        "robot": {"body": "jackal", "commands": {"v": "-0.5 .. 2.0 m/s", "omega": turns}},
+        "system": {"model": "dubins_car", "controls": {"v": f"{jackal.speed} m/s", "omega": turns}},
+        "robot": {"body": "jackal", "commands": {"v": f"-0.5 .. {jackal.speed} m/s", "omega": turns}},
         "arena": {"x": f"{left} .. {right} m", "y": f"{bottom} .. {top} m", "wall_thickness": "0.2 m"},
         "start": {"x": f"{start[0]} m", "y": f"{start[1]} m", "theta": f"{start[2]} rad"},
         "goal": {"disc": {"centre": f"({goal[0]}, {goal[1]}) m", "radius": f"{REACHED} m"}},

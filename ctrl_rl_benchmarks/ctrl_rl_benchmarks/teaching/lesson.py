@@ -10,7 +10,7 @@ import numpy as np
 from ctrl_rl_core.policies.observation import ObservationBuilder
 from numpy.typing import NDArray
 
-from ctrl_rl_benchmarks.teaching.teacher import LIMITS, Teacher
+from ctrl_rl_benchmarks.teaching.teacher import Teacher, limits_between_posts, wheeled
 from ctrl_rl_core import (
     CtrlRlError,
     DriveSafety,
@@ -29,19 +29,18 @@ Pupil = Callable[[Observation], Array]
 
 _BEARINGS = 180
 _FARTHEST = 2.0
-_LIDAR_X = -0.032
 _RATE = 60
 """Physics steps per second [Hz]; the planar engine needs no more."""
 _STANDS = 10.0
 """Time without motion after which a drive is over [s]."""
 _STILL = 0.005
-_STOP = ObstacleStop(LIMITS.radius, 0.0, 0.5, 0.3)
-"""The obstacle stop that the robot has with the parameters that doorways need."""
+_REACTION = 0.3
+"""Time from a scan to the effect of its command [s], as of nodes."""
 
 
 def corridor_interface(task: NavigationTask) -> PolicyManifest:
     """Return the interface of a pupil: ranges all around and the robot's speeds, at each scan of any lidar."""
-    step = 2.0 * math.pi / _BEARINGS
+    limits, step = limits_between_posts(wheeled(task)), 2.0 * math.pi / _BEARINGS
     scan = {"source": "scan", "count": _BEARINGS, "step": step, "half_width": 0.5 * step}
     speeds = {"source": "odometry", "names": ["v", "omega"], "low": [-1.0, -6.0], "high": [1.0, 6.0]}
     return PolicyManifest.model_validate(
@@ -49,9 +48,9 @@ def corridor_interface(task: NavigationTask) -> PolicyManifest:
             "robot": "differential_drive",
             "observation": [
                 {**scan, "low": task.lidar.range.low, "high": _FARTHEST, "middle": 0.6, "unit": 0.5},
-                {**speeds, "unit": [LIMITS.speed, LIMITS.turn_rate]},
+                {**speeds, "unit": [limits.speed, limits.turn_rate]},
             ],
-            "action": {"low": [0.0, -LIMITS.turn_rate], "high": [LIMITS.speed, LIMITS.turn_rate]},
+            "action": {"low": [0.0, -limits.turn_rate], "high": [limits.speed, limits.turn_rate]},
             "about": task.about,
         }
     )
@@ -81,7 +80,9 @@ class Lesson:
         self._world = SimulatedWorld(task, seed, options=settings)
         self._teacher = Teacher(task, self._world.geometry)
         self._observe = ObservationBuilder(interface)
-        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), _STOP, _LIDAR_X, 1.0)
+        robot = wheeled(task)
+        stop = ObstacleStop(robot.through_gaps, 0.0, robot.plan.braking, _REACTION)  # what a node has in doorways
+        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, robot.lidar.x, 1.0)
         self.outcome = Outcome.RUNNING
 
     def drive(self, pupil: Pupil | None) -> Iterator[Moment]:

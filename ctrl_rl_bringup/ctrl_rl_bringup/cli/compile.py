@@ -10,8 +10,9 @@ from math import pi
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.processes.workers import map_in_processes
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 
-from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid, find_robot
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def _filter() -> None:
 
     from ctrl_rl_safety import ROBOTS, FilterOptions
 
-    warm_up(ROBOTS["turtlebot3_burger"], FilterOptions())
+    warm_up(ROBOTS[DEFAULT_ROBOT], FilterOptions())
 
 
 def _flight_guard() -> None:
@@ -80,9 +81,9 @@ def _solver_of_nodes() -> None:
 
 def _navigator() -> None:
     from ctrl_rl_navigation.driving.navigator import warm_up
-    from ctrl_rl_navigation.robot import DriveLimits
+    from ctrl_rl_navigation.robot import limits_of
 
-    warm_up(DriveLimits())
+    warm_up(limits_of(find_robot(DEFAULT_ROBOT)))
 
 
 def _values(dimensions: int) -> None:

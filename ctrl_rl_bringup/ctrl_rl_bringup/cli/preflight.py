@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import EXIT_USAGE, CommandError, FiniteNumber, folder_to_write, parse_options, run_command
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 from rclpy.executors import Executor, SingleThreadedExecutor
 from tqdm import tqdm
 
@@ -22,6 +23,7 @@ from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.mover import Mover, mover_parameters, run_pattern
 from ctrl_rl_bringup.preflight.report import as_text, write_report
 from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_core import RobotError, find_robot
 
 _LONGEST_S = 600.0
 _EPILOG = """Exit code 0: go; 1: no-go; 2: the command line is wrong, or the report cannot be written.
@@ -60,6 +62,9 @@ class PreflightOptions:
     yes: bool = False
     """Move without asking."""
 
+    robot: str = DEFAULT_ROBOT
+    """Name of the robot, or the path of its .yaml file: where its lidar sits, its size and its battery."""
+
     limits: Annotated[Limits, tyro.conf.arg(name="")] = field(default_factory=Limits)
 
     def check(self) -> None:
@@ -90,6 +95,10 @@ def preflight() -> int:
 def _preflight() -> int:
     options = parse_options("preflight", PreflightOptions, own_arguments("preflight"), _EPILOG)
     options.check()
+    try:
+        options = replace(options, limits=options.limits.of(find_robot(options.robot)))
+    except RobotError as error:
+        raise CommandError(str(error)) from None
     folder = run_folder(options.output, "preflight")
     try:
         folder_to_write(str(folder))
@@ -151,6 +160,7 @@ def _ros_arguments(options: PreflightOptions) -> list[str]:
     out += ["-r", f"__ns:=/{namespace}"] if namespace else []
     for parameter in mover_parameters(options.move == "air", options.unstamped, options.limits):
         out += ["-p", f"preflight_mover:{parameter}"]
+    out += ["-p", f"preflight_mover:robot:={options.robot}"]
     if options.commands != "cmd_vel":
         out += ["-r", f"preflight_mover:cmd_vel:={options.commands}"]
     return out

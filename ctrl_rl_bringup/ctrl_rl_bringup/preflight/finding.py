@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from ctrl_rl_core.command import FiniteNumber
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT, Robot, find_robot
 
 
 class Level(Enum):
@@ -54,9 +55,12 @@ def left_out(check: str, text: str) -> Finding:
     return Finding(check, Level.LEFT_OUT, text)
 
 
+_USUAL = find_robot(DEFAULT_ROBOT)
+
+
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the checks; the defaults are those of a TurtleBot3 burger under this suite's controllers."""
+    """Limits of the checks, under this suite's controllers; what is a robot's is that of `--robot` unless given."""
 
     scan_rate: FiniteNumber = 4.0
     """Least scans per second [Hz]."""
@@ -79,10 +83,10 @@ class Limits:
     field: FiniteNumber = 180.0
     """Least field of view of the lidar [deg]."""
 
-    lidar_x: FiniteNumber = -0.032
+    lidar_x: FiniteNumber = _USUAL.lidar.x
     """Position of the lidar ahead of base_link that the controller is told [m]."""
 
-    lidar_yaw: FiniteNumber = 0.0
+    lidar_yaw: FiniteNumber = _USUAL.lidar.yaw
     """Direction of the scan's zero bearing in the robot's frame that the controller is told [rad]."""
 
     lidar_x_tolerance: FiniteNumber = 0.05
@@ -94,8 +98,11 @@ class Limits:
     least_charge: FiniteNumber = 0.2
     """Least charge of the battery, 0 to 1."""
 
-    least_voltage: FiniteNumber = 11.0
-    """Least voltage of the battery [V]; the default is that of a burger's three cells."""
+    least_voltage: FiniteNumber = _USUAL.least_voltage
+    """Least voltage of the battery [V]."""
+
+    robot_radius: FiniteNumber = _USUAL.radius
+    """Radius around base_link that holds all of the robot [m]; no echo can lie within."""
 
     map_share: FiniteNumber = 0.6
     """Least share of echoes that lie near an occupied cell of the map, 0 to 1."""
@@ -108,3 +115,17 @@ class Limits:
 
     largest_delay: FiniteNumber = 0.5
     """Largest time from a command to its effect in odometry [s]."""
+
+    def of(self, robot: Robot) -> Limits:
+        """Return the limits with what is a robot's, where it was left at that of the usual one."""
+        own = _of(robot)
+        return replace(self, **{name: own[name] for name, usual in _of(_USUAL).items() if getattr(self, name) == usual})
+
+
+def _of(robot: Robot) -> dict[str, float]:
+    return {
+        "lidar_x": robot.lidar.x,
+        "lidar_yaw": robot.lidar.yaw,
+        "least_voltage": robot.least_voltage,
+        "robot_radius": robot.radius,
+    }

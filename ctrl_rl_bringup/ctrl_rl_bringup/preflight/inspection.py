@@ -23,6 +23,7 @@ STANDING: tuple[Callable[[Recording, Limits], Iterator[Finding]], ...] = (
     frame_checks.check_mounting,
     scan_checks.check_beams,
     scan_checks.check_echoes,
+    scan_checks.check_own_body,
     scan_checks.check_frozen,
     robot_checks.check_odometry,
     robot_checks.check_battery,

@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanError, view_scan
+from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanError, ScanGeometry, view_scan
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, ok
 from ctrl_rl_bringup.preflight.recording import Recording
 
 _AHEAD = np.arange(-30, 31) * DIRECTIONS // 360
 """Directions of the cone ahead of the robot that must hold an echo."""
+_FEWEST, _ALWAYS, _WITHIN = 5, 0.8, 0.95
+"""Scans in which a beam must meet the robot itself, the share of them, and the part of its radius that is surely it."""
 
 
 def check_beams(heard: Recording, limits: Limits) -> Iterator[Finding]:
@@ -81,3 +83,32 @@ def check_frozen(heard: Recording, _limits: Limits) -> Iterator[Finding]:
         yield no_go("scan changes", f"{repeated} of {len(contents)} scans are the same as the one before", advice)
     else:
         yield ok("scan changes", f"{len(contents) - repeated} different scans")
+
+
+def check_own_body(heard: Recording, limits: Limits) -> Iterator[Finding]:
+    """Find beams that always meet the robot itself: a cable, a post, a lidar that sits elsewhere."""
+    check = "own body"
+    scans = [scan for scan in heard.scans if not _is_wrong(scan.geometry)]
+    if len(scans) < _FEWEST or limits.robot_radius <= 0.0:
+        return
+    inside = np.zeros((len(scans), DIRECTIONS), dtype=bool)
+    for row, scan in zip(inside, scans, strict=True):
+        points = scan.points(limits.lidar_x, limits.lidar_yaw)
+        near = points[np.hypot(*points.T) < _WITHIN * limits.robot_radius]
+        bearings = np.degrees(np.arctan2(near[:, 1], near[:, 0] - limits.lidar_x))
+        row[np.rint(bearings * (DIRECTIONS / 360.0)).astype(int) % DIRECTIONS] = True
+    always = np.flatnonzero(inside.mean(axis=0) >= _ALWAYS)
+    if not len(always):
+        yield ok(check, "no beam meets the robot itself")
+        return
+    words = f"beams at {always[0]} to {always[-1]} deg always see the robot itself, within {limits.robot_radius:g} m"
+    advice = "clear the lidar's view, mask these beams (laser_filters), or correct --lidar-x, --robot-radius or --robot"
+    yield no_go(check, words, advice)
+
+
+def _is_wrong(geometry: ScanGeometry) -> bool:
+    try:
+        geometry.check()
+    except ScanError:
+        return True
+    return False

@@ -23,8 +23,6 @@ _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
 """Default and largest rate of the bridge's odometry [Hz]."""
 _GUARDED_ODOMETRY = 120.0
 """Least rate of odometry for the flight guard [Hz]: three a period."""
-THROUGH_DOORWAYS = {"robot_radius": 0.105, "obstacle_margin": 0.0}
-"""Parameters of a driver with which the obstacle stop of a burger lets it through doorways of 0.3 m."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
 _WATCHDOG_S = 2.0
 """A busy machine may stall for a second, in which a simulated robot does not move either."""
@@ -153,10 +151,12 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
     off: their speeds are too high and their beams too few for it. In a corridor it is on.
     """
     parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy}
+    if task.robot.robot is not None and task.plane == "xy":
+        parameters["robot"] = task.robot.body
     if task.corridor is None:
         parameters |= _UNGUARDED
     elif task.doorways is not None:
-        parameters |= THROUGH_DOORWAYS
+        parameters |= through_doorways(task)
     if task.plane == "xz":
         pilot = NodeSpec(
             "ctrl_rl_core", "policy", parameters, (RAW_THRUSTS,), remappings={"rotor_thrusts": RAW_THRUSTS}
@@ -167,6 +167,13 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
     driver = NodeSpec("ctrl_rl_core", "policy", parameters, (RAW,), remappings={"cmd_vel": RAW})
     speed, turn = (max(abs(each.low), abs(each.high)) for each in task.robot.commands.values())
     return [driver, *guards(options, task, largest_speed=speed, largest_turn_rate=turn)]
+
+
+def through_doorways(task: NavigationTask) -> dict[str, float]:
+    """Return the parameters of a driver with which the obstacle stop of its robot lets it through narrow doorways."""
+    robot = task.robot.robot
+    assert robot is not None, "a robot in a corridor"
+    return {"robot_radius": robot.through_gaps, "obstacle_margin": 0.0}
 
 
 def guards(options: DriveConfig, task: NavigationTask, **limits: float) -> list[NodeSpec]:

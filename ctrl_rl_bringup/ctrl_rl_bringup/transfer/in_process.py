@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from ctrl_rl_core.ros.parameters import of_robot
 
-from ctrl_rl_bringup.runner.stack import THROUGH_DOORWAYS
+from ctrl_rl_bringup.runner.stack import through_doorways
 from ctrl_rl_core import (
     LIDAR_PARAMETERS,
     CtrlRlError,
@@ -83,7 +84,10 @@ class _Driver:
 
 def _make_safety(task: NavigationTask) -> DriveSafety:
     """Return the checks of a lidar's node with their defaults, or with those that leave room in doorways."""
-    value = _DEFAULTS if task.doorways is None else _DEFAULTS | THROUGH_DOORWAYS
+    robot = task.robot.robot
+    assert robot is not None, "a robot with a lidar on wheels"
+    value = _DEFAULTS | {each.name: of_robot(robot, each.of_robot) for each in LIDAR_PARAMETERS if each.of_robot}
+    value |= {} if task.doorways is None else through_doorways(task)
     health = ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
     obstacles = ObstacleStop(
         value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]

@@ -17,7 +17,7 @@ from ctrl_rl_core.driving.drive_safety import DriveSafety
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
 from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
 from ctrl_rl_core.ros.node import SENSOR, Status, nanoseconds
-from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.sensing.odometry import OdometryError, read_odometry
 from ctrl_rl_core.sensing.odometry_health import OdometryHealth
 from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, read_scan
@@ -50,16 +50,18 @@ _SCAN_CHECKS = (
     ),
 )
 _OBSTACLE_STOP = (
-    Parameter(
+    robot_parameter(
         "robot_radius",
-        0.125,
+        "radius",
         "Radius around base_link that holds all of the robot; 0.0 for no obstacle stop [m].",
         0.0,
-        2.0,
+        5.0,
         live=True,
     ),
     Parameter("obstacle_margin", 0.02, "Additional distance to obstacles [m].", 0.0, 2.0, live=True),
-    Parameter("deceleration", 0.5, "Deceleration of the robot when it brakes [m/s^2].", 0.05, 20.0, live=True),
+    robot_parameter(
+        "deceleration", "plan.braking", "Deceleration of the robot when it brakes [m/s^2].", 0.05, 100.0, live=True
+    ),
     Parameter(
         "reaction_time",
         0.3,
@@ -71,8 +73,11 @@ _OBSTACLE_STOP = (
 )
 SCAN_PARAMETERS = (
     *VELOCITY_PARAMETERS,
-    Parameter("lidar_x", -0.032, "Position of the lidar ahead of base_link [m].", -1.0, 1.0),
-    Parameter("lidar_yaw", 0.0, "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416),
+    ROBOT,
+    robot_parameter("lidar_x", "lidar.x", "Position of the lidar ahead of base_link [m].", -1.0, 1.0),
+    robot_parameter(
+        "lidar_yaw", "lidar.yaw", "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416
+    ),
     *_SCAN_CHECKS,
 )
 """Parameters without those of the obstacle stop, for a node that keeps clear of obstacles in its own way."""

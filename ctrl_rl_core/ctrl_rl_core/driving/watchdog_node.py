@@ -8,7 +8,7 @@ import sys
 from geometry_msgs.msg import Twist, TwistStamped
 
 from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
-from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.ros.running import run_node
 
 INPUT = "cmd_vel_raw"
@@ -32,8 +32,13 @@ class WatchdogNode(CommandWatchdog):
             0.0,
             3600.0,
         ),
-        Parameter("largest_speed", 0.22, "A faster command is refused, and zero sent instead [m/s].", 0.01, 100.0),
-        Parameter("largest_turn_rate", 2.84, "A faster turn is refused, and zero sent instead [rad/s].", 0.01, 100.0),
+        ROBOT,
+        robot_parameter(
+            "largest_speed", "speed", "A faster command is refused, and zero sent instead [m/s].", 0.01, 100.0
+        ),
+        robot_parameter(
+            "largest_turn_rate", "turn_rate", "A faster turn is refused, and zero sent instead [rad/s].", 0.01, 100.0
+        ),
         Parameter("enable_stamped_cmd_vel", True, "Both topics are TwistStamped (Jazzy), else Twist (Humble)."),
         CommandWatchdog.BASE_FRAME,
     )

@@ -7,7 +7,7 @@ It lies in the header of an actor's file, or as YAML beside an ONNX model:
     observation:
       - {source: scan, count: 24, step: 0.2618, low: 0.12, high: 3.5, unit: 3.5}
       - {source: goal, names: [distance, bearing]}
-    action: {low: [0.0, -1.0], high: [0.22, 1.0]}
+    action: {low: [0.0, -1.0], high: [0.2, 1.0]}
 
 All quantities are in SI units. Each observed value is cut off at `low` and `high`, then becomes
 (value - middle) / unit.

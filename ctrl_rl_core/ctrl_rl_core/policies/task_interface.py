@@ -9,7 +9,7 @@ import numpy as np
 
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
-from ctrl_rl_core.tasks.schema.robot import BODIES
+from ctrl_rl_core.robots.robot import COMMANDS
 from ctrl_rl_core.tasks.task import NavigationTask
 
 SPEED_RANGE = (-20.0, 20.0)
@@ -46,7 +46,7 @@ def interface_of(task: NavigationTask) -> PolicyManifest:
     Raises:
         PolicyError: The robot's commands cannot be sent by a node.
     """
-    if tuple(task.robot.commands) not in {body.commands for body in BODIES.values()}:
+    if tuple(task.robot.commands) not in COMMANDS.values():
         raise PolicyError(f"task '{task.name}': no node can send {' and '.join(task.robot.commands)}")
     flies = task.plane == "xz"
     ranges = state_ranges(task)
@@ -58,7 +58,8 @@ def interface_of(task: NavigationTask) -> PolicyManifest:
         for key, value in (("names", name), ("low", float(low)), ("high", float(high))):
             parts[-1][key].append(value)
     lidar, commands = task.lidar, list(task.robot.commands.values())
-    scan = {"source": "scan", "count": lidar.beams, "first": lidar.angle_min, "step": lidar.angle_increment}
+    yaw = 0.0 if task.robot.robot is None else task.robot.robot.lidar.yaw
+    scan = {"source": "scan", "count": lidar.beams, "first": lidar.angle_min + yaw, "step": lidar.angle_increment}
     parts.append({**scan, "low": lidar.range.low, "high": lidar.range.high})
     content: dict[str, Any] = {
         "robot": "planar_quadrotor" if flies else "differential_drive",

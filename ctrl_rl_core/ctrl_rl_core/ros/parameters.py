@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT, Robot, RobotError, find_robot
 
 _LARGEST_FLOAT = 1.7976931348623157e308
 _LARGEST_INT = 2**63 - 1
@@ -25,6 +26,9 @@ _LONGEST_PART = 240
 """Letters of one part of a path: file systems take 255 bytes, with the ending that a name may be given."""
 _ROS_NAME = re.compile(r"(~(?=/|$))?/?([A-Za-z_{][A-Za-z0-9_{}]*(/[A-Za-z_{][A-Za-z0-9_{}]*)*/?)?", re.ASCII)
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number, written with a point", str: "a text"}
+
+
+ROBOT_MEANING = "Robot that is driven: turtlebot3_burger, turtlebot2, turtlebot4, jackal, or a .yaml file."
 
 
 class ParameterError(CtrlRlError):
@@ -43,7 +47,10 @@ class Parameter:
         maximum: Largest value allowed, None for no bound.
         choices: The texts allowed; empty for any.
         live: Whether `ros2 param set` may change it while the node runs.
-        kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; or a ROS name.
+        kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; a ROS name; or the name
+            or file of a robot.
+        of_robot: What the default is of the robot that the node's parameter of kind `robot` names, as in `lidar.x`;
+            empty where it is the same for all robots.
     """
 
     name: str
@@ -53,7 +60,8 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    kind: Literal["text", "path", "name"] = "text"
+    kind: Literal["text", "path", "name", "robot"] = "text"
+    of_robot: str = ""
 
     @property
     def limits(self) -> str:
@@ -118,7 +126,7 @@ class Parameter:
             raise ParameterError(
                 f"parameter '{self.name}': '{_shown(text)}' is no name of ROS: use letters, digits, _ and /"
             )
-        if self.kind == "path":
+        if self.kind in ("path", "robot"):
             longest = max(map(len, text.split("/")))
             if longest > _LONGEST_PART:
                 raise ParameterError(
@@ -158,8 +166,11 @@ def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
         ParameterError: A value given at start has a wrong type or is not allowed.
     """
     values: dict[str, Any] = {}
+    robot: Robot | None = None
     overrides = node._parameter_overrides
-    for parameter in table:
+    for parameter in sorted(table, key=lambda each: each.kind != "robot"):
+        if parameter.of_robot and robot is not None:
+            parameter = replace(parameter, default=of_robot(robot, parameter.of_robot))
         given = overrides.get(parameter.name)
         if given is not None:
             overrides[parameter.name] = RosParameter(parameter.name, value=parameter._given(given.value))
@@ -172,7 +183,47 @@ def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
                 f"parameter '{parameter.name}' is out of range: must be {parameter.limits}: {parameter.description}"
             ) from None
         values[parameter.name] = parameter.check(value)
+        if parameter.kind == "robot":
+            try:
+                robot = find_robot(values[parameter.name])
+            except RobotError as error:
+                raise ParameterError(f"parameter '{parameter.name}': {error}") from None
     return values
+
+
+def robot_parameter(
+    name: str,
+    attribute: str,
+    description: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    live: bool = False,
+) -> Parameter:
+    """Return a parameter whose default is a number of the node's robot; --help shows that of the usual robot.
+
+    Args:
+        name: Name of the parameter.
+        attribute: What it is of a robot, as in `lidar.x`.
+        description: Meaning, with the unit in brackets.
+        minimum: Least value allowed, None for no bound.
+        maximum: Largest value allowed, None for no bound.
+        live: Whether it may change while the node runs.
+    """
+    default = of_robot(find_robot(DEFAULT_ROBOT), attribute)
+    meaning = f"{description.removesuffix('.')}; that of `robot` unless given."
+    return Parameter(name, default, meaning, minimum, maximum, live=live, of_robot=attribute)
+
+
+def of_robot(robot: Robot, attribute: str) -> float:
+    """Return a number of a robot, as in `lidar.x`."""
+    value: Any = robot
+    for part in attribute.split("."):
+        value = getattr(value, part)
+    return float(value)
+
+
+ROBOT = Parameter("robot", DEFAULT_ROBOT, ROBOT_MEANING, kind="robot")
+"""The robot of a node, whose numbers are the defaults of its other parameters."""
 
 
 def _shown(value: Any) -> str:

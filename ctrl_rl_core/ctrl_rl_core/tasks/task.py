@@ -9,11 +9,12 @@ A file that has a wrong key, unit or shape is refused with one error that names 
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Discriminator, Field, TypeAdapter, ValidationError, ValidationInfo, model_validator
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.geometry.shapes import World
@@ -26,7 +27,7 @@ from ctrl_rl_core.tasks.schema.movers import MOST_MOVERS, MoverSpec
 from ctrl_rl_core.tasks.schema.optimal_control import GridSpec, OptimalControlSpec
 from ctrl_rl_core.tasks.schema.parts import EpisodeSpec, RewardSpec, Several, TaskHeader
 from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS, Randomisation
-from ctrl_rl_core.tasks.schema.robot import MODEL, LidarSpec, RobotSpec
+from ctrl_rl_core.tasks.schema.robot import MODEL, LidarSpec, RobotSpec, named_robot, with_limits
 from ctrl_rl_core.tasks.schema.system import SystemSpec
 from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, DoorwaySpec, MapSpec, ObstacleSpec, RegionSpec
 
@@ -61,6 +62,21 @@ class NavigationTask(TaskHeader):
     grid: dict[str, GridSpec] = Field(default_factory=dict)
     optimal_control: OptimalControlSpec | None = None
     randomisation: Randomisation = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_the_robot(cls, value: Any, info: ValidationInfo) -> Any:
+        """Take the lidar of the robot where the task has none, and its limits for the word `robot` in bounds."""
+        robot = named_robot(value.get("robot"), info) if isinstance(value, dict) else None
+        if robot is None:
+            return value
+        out = dict(value)
+        if "lidar" not in out and robot.lidar.spec is not None:
+            out["lidar"] = robot.lidar.spec
+        for part in ("system", "optimal_control"):
+            if isinstance(out.get(part), dict) and isinstance(out[part].get("controls"), dict):
+                out[part] = {**out[part], "controls": with_limits(out[part]["controls"], robot)}
+        return out
 
     @model_validator(mode="after")
     def _one_place(self) -> NavigationTask:
@@ -214,4 +230,8 @@ def task_digest(task: TaskHeader) -> str:
         left_out["robot"] = {"footprint"}
     if isinstance(task, NavigationTask) and not task.system.states:  # as digests were before there was such a key
         left_out["system"] = {"states"}
-    return hashlib.sha256(task.model_dump_json(exclude=left_out).encode()).hexdigest()
+    content = task.model_dump_json(exclude=left_out)
+    if isinstance(task, NavigationTask) and task.robot.robot is not None and "/" in task.robot.body:
+        # A robot of one's own counts by its numbers, wherever its file lies.
+        content = content.replace(json.dumps(task.robot.body), json.dumps(task.robot.robot.digest), 1)
+    return hashlib.sha256(content.encode()).hexdigest()

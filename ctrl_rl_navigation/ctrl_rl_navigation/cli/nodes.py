@@ -20,14 +20,14 @@ from ctrl_rl_core.ros.node import LATCHED, RESULT, SENSOR, seconds
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
-from ctrl_rl_core import OccupancyMap, read_planar_pose
+from ctrl_rl_core import OccupancyMap, find_robot, read_planar_pose
 from ctrl_rl_msgs.msg import EpisodeStatus, NavigatorStatus
 from ctrl_rl_navigation.cli.goals import GoalMaker, Trial
 from ctrl_rl_navigation.cli.outcome import Options, Outcome
 from ctrl_rl_navigation.cli.simulation import TASK_NAME, Drive, task_content
 from ctrl_rl_navigation.driving.decision import NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.errors import NavigationError
-from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.robot import limits_of
 
 _ENDED = (NavigatorStatus.REACHED, NavigatorStatus.UNREACHABLE)
 _SPEED = 3.0
@@ -96,7 +96,7 @@ def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_O
     with tempfile.TemporaryDirectory(prefix="trials_") as name:
         folder = Path(name)
         task = folder / f"{TASK_NAME}.yaml"
-        task.write_text(yaml.safe_dump(task_content(file, start), sort_keys=False))
+        task.write_text(yaml.safe_dump(task_content(file, start, options.robot), sort_keys=False))
         simulator = {
             "task": task,
             "seed": options.seed,
@@ -107,11 +107,12 @@ def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_O
             "localisation_error": float(options.position_error),
             "localisation_heading_error": math.radians(options.heading_error),
         }
+        driver: dict[str, Any] = {"map": file.resolve(), "robot": options.robot, "use_sim_time": "true"}
         operator = _Operator()
         try:
             for package, executable, parameters in (
                 ("sim_bridge", "bridge", simulator),
-                ("ctrl_rl_navigation", "navigator", {"map": file.resolve(), "use_sim_time": "true"}),
+                ("ctrl_rl_navigation", "navigator", driver),
             ):
                 log = folder / f"{executable}.log"
                 running.append((_start(package, executable, log, parameters), log))
@@ -134,7 +135,7 @@ def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_O
 
 def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
     """Yield the outcome of each trial on a map after those that are made; each begins where the one before ended."""
-    limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
+    limits, tolerance = limits_of(find_robot(options.robot)), NavigatorOptions().tolerance
     maker = GoalMaker(map_, limits, tolerance)
     trials = list(maker.draw(np.random.default_rng((options.seed, 1)), options.goals))[made:]
     rclpy.init()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ctrl_rl_core.command import FolderToWrite, NotNegative, OptionalFileToWrite, Positive
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 
 from ctrl_rl_navigation.cli.goals import Trial
 from ctrl_rl_navigation.cli.simulation import Drive
@@ -16,13 +17,15 @@ from ctrl_rl_navigation.maps import map_names
 
 @dataclass(frozen=True)
 class Options:
-    """Drives a simulated burger to random goals on maps with the navigator, and counts what becomes of it.
+    """Drives a simulated robot to random goals on maps with the navigator, and counts what becomes of it.
 
     The pose has the errors of a localiser, and odometry drifts. Unreachable goals must be told as such.
     """
 
     maps: tuple[str, ...] = field(default_factory=map_names)
     """Names of maps, or NAME=FILE.yaml for others."""
+    robot: str = DEFAULT_ROBOT
+    """Name of a robot, or the path of its .yaml file."""
     goals: Positive = 100
     """Number of goals on each map."""
     seed: NotNegative = 0

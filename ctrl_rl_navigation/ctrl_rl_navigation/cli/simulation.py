@@ -8,44 +8,46 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 from ctrl_rl_core.sensing.scan import ScanError, view_scan
 from numpy.typing import ArrayLike, NDArray
 from sim_bridge.simulation.localisation import Localiser, correction
 
-from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanHealth
+from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanHealth, find_robot
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
-from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.robot import DriveLimits, limits_of
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
 
-LIDAR_X = -0.032
-"""Position of the burger's lidar ahead of its middle [m]."""
 _ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
 _FAR = 1e4
-_LDS01 = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.12 .. 3.5 m", "rate": "5.0 Hz", "noise": "0.01 m"}
+_MARGIN, _REACTION, _FASTER = 0.02, 0.3, 1.5
+"""Margin [m] and reaction time [s] of the obstacle stop, and a robot's speed over that of its commands, as in nodes."""
 TASK_NAME = "drive_on_a_map"
 """Name of the task, and of its file."""
 
 
-def task_content(map_file: Path, pose: ArrayLike) -> dict[str, Any]:
-    """Return the content of a task file: a burger that starts at a pose (3,) of a map and has nowhere to arrive."""
+def task_content(map_file: Path, pose: ArrayLike, robot: str = DEFAULT_ROBOT) -> dict[str, Any]:
+    """Return the content of a task file: a robot that starts at a pose (3,) of a map and has nowhere to arrive."""
     x, y, theta = np.asarray(pose, np.float64).tolist()
-    turns = "-2.84 .. 2.84 rad/s"
+    mounted = find_robot(robot)
     return {
         "name": TASK_NAME,
         "kind": "navigation",
-        "about": "A TurtleBot3 burger drives on a map.",
+        "about": f"A {mounted.name} drives on a map.",
         "source": "a map",
-        "system": {"model": "dubins_car", "controls": {"v": "0.22 m/s", "omega": turns}},
-        "robot": {"body": "turtlebot3_burger", "commands": {"v": "-0.22 .. 0.22 m/s", "omega": turns}},
+        "system": {
+            "model": "dubins_car",
+            "controls": {"v": f"{mounted.speed} m/s", "omega": f"{-mounted.turn_rate} .. {mounted.turn_rate} rad/s"},
+        },
+        "robot": {"body": robot},
         "map": {"file": str(map_file.expanduser().resolve())},
         "start": {"x": f"{x} m", "y": f"{y} m", "theta": f"{theta} rad"},
         "goal": {"disc": {"centre": f"({_FAR}, {_FAR}) m", "radius": "0.1 m"}},
         "episode": {"steps": 10_000_000, "time_step": "0.1 s"},
         "rewards": {"goal": 0, "collision": 0},
-        "lidar": _LDS01,
     }
 
 
@@ -141,17 +143,20 @@ class DriveSimulation:
         errors: Errors,
         limits: DriveLimits | None = None,
         engine: str = "pybullet",
+        robot: str = DEFAULT_ROBOT,
     ) -> None:
-        self.limits = limits or DriveLimits()
+        self._robot = find_robot(robot)
+        self.limits = limits or limits_of(self._robot)
         self._options = NavigatorOptions(inline=True)
         settings = SimulationOptions(odom_drift=errors.drift, engine=engine)
-        task = NavigationTask.model_validate(task_content(map_file, pose))
+        task = NavigationTask.model_validate(task_content(map_file, pose, robot))
         self.world = SimulatedWorld(task, seed, options=settings)
         self.navigator = Navigator(self.limits, self._options)
         self.navigator.set_map(OccupancyMap.load(map_file))
         self.localiser = LocalisedPose(self.world, errors, np.random.default_rng((seed, 7)))
-        stop = ObstacleStop(0.125, 0.02, 0.5, 0.3)
-        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, LIDAR_X, 0.15 + stop.reach(0.33, 0.5))
+        stop = ObstacleStop(self._robot.radius, _MARGIN, self._robot.plan.braking, _REACTION)
+        reach = stop.radius + stop.margin + abs(self._robot.lidar.x) + stop.reach(_FASTER * self._robot.speed, 0.5)
+        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, self._robot.lidar.x, reach)
         self._echoes = np.empty((0, 2))
         self._scan_pose, self._scan_at = self.localiser.odometry(), 0.0
         self.trace: list[Array] = []
@@ -187,7 +192,7 @@ class DriveSimulation:
         now = self.world.elapsed
         forward, _, turn = self.world.odometry().velocity
         self._safety.update(now, round(1e9 * now), "scan", scan.ranges, scan.geometry, (forward, turn))
-        self._echoes = view_scan(scan.ranges, scan.geometry, math.inf, LIDAR_X).points
+        self._echoes = view_scan(scan.ranges, scan.geometry, math.inf, self._robot.lidar.x).points
         self._scan_pose, self._scan_at = self.localiser.odometry(), now
         self.navigator.see(now, pose, self._echoes)
 

@@ -16,7 +16,7 @@ from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.io.outcome_log import OutcomeLog
 from ctrl_rl_core.io.results import Result, with_others, write_results
 
-from ctrl_rl_core import OccupancyMap
+from ctrl_rl_core import OccupancyMap, find_robot
 from ctrl_rl_navigation.cli.goals import GoalMaker
 from ctrl_rl_navigation.cli.nodes import drive_through_nodes
 from ctrl_rl_navigation.cli.outcome import Options, Outcome
@@ -24,7 +24,7 @@ from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
 from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.maps import map_file
-from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.robot import limits_of
 
 _LONGEST, _SPARE_S = 4.0, 30.0
 """A drive may take so many times its best time, and so much more [s]."""
@@ -46,13 +46,13 @@ def named_file(word: str) -> tuple[str, Path]:
 
 def drive_all(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
     """Yield the outcome of each trial on a map after the first ones, which are made."""
-    limits, tolerance = DriveLimits(), NavigatorOptions().tolerance
+    limits, tolerance = limits_of(find_robot(options.robot)), NavigatorOptions().tolerance
     errors = Errors(options.drift, options.position_error, math.radians(options.heading_error))
     maker = GoalMaker(map_, limits, tolerance)
     trials = maker.draw(np.random.default_rng((options.seed, 1)), options.goals)
     for number, trial in islice(enumerate(trials), made, None):
         best = maker.best_time(trial.start, trial.goal) if trial.reachable else math.inf
-        simulation = DriveSimulation(file, trial.start, options.seed + number, errors, limits, engine)
+        simulation = DriveSimulation(file, trial.start, options.seed + number, errors, limits, engine, options.robot)
         try:
             begin = time.monotonic()
             longest = _LONGEST * (best if trial.reachable else 0.0) + _SPARE_S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,7 +18,16 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ctrl_rl_core import CtrlRlError, LidarVelocityNode, OccupancyMap, Parameter, ScanGeometry, VelocityError, run_node
+from ctrl_rl_core import (
+    CtrlRlError,
+    LidarVelocityNode,
+    OccupancyMap,
+    Parameter,
+    ScanGeometry,
+    VelocityError,
+    find_robot,
+    run_node,
+)
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
 from ctrl_rl_navigation.driving.decision import Decision, NavigatorOptions, NavigatorState
@@ -26,7 +36,7 @@ from ctrl_rl_navigation.maps import load_map
 from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
 from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
 from ctrl_rl_navigation.nodes.pose_input import SeenPoseInput
-from ctrl_rl_navigation.robot import DriveLimits
+from ctrl_rl_navigation.robot import limits_of
 
 _STATUS_PERIOD = 0.5
 _GUARD_GAP = 0.005
@@ -49,13 +59,15 @@ class NavigatorNode(LidarVelocityNode):
     def __init__(self) -> None:
         super().__init__("navigator")
         value = self.settings
-        limits = DriveLimits(
-            value["max_speed"],
-            value["max_turn_rate"],
-            value["acceleration"],
-            value["turn_acceleration"],
-            value["robot_radius"],
-            value["obstacle_margin"] + _GUARD_GAP,
+        limits = replace(
+            limits_of(find_robot(value["robot"]), value["obstacle_margin"] + _GUARD_GAP),
+            speed=value["max_speed"],
+            turn_rate=value["max_turn_rate"],
+            acceleration=value["acceleration"],
+            turn_acceleration=value["turn_acceleration"],
+            radius=value["robot_radius"],
+            length=0.0,
+            width=0.0,
         )
         self.set_limits((0.0, -limits.turn_rate), (limits.speed, limits.turn_rate))
         self._navigator = Navigator(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from ctrl_rl_core.navigation.pose_source import POSE_SOURCES
+from ctrl_rl_core.ros.parameters import robot_parameter
 
 from ctrl_rl_core import LIDAR_PARAMETERS, Parameter
 
@@ -35,10 +36,12 @@ NAVIGATOR_PARAMETERS = (
     ),
     Parameter("pose_timeout", 2.0, "Age of a transform that stops the robot [s].", 0.05, 60.0),
     Parameter("control_period", 0.1, "Time from command to command [s].", 0.02, 0.5),
-    Parameter("max_speed", 0.22, "Largest speed [m/s].", 0.01, 5.0),
-    Parameter("max_turn_rate", 2.0, "Largest turn rate [rad/s].", 0.05, 10.0),
-    Parameter("acceleration", 1.0, "Largest change of the speed [m/s^2].", 0.05, 20.0),
-    Parameter("turn_acceleration", 6.0, "Largest change of the turn rate [rad/s^2].", 0.05, 100.0),
+    robot_parameter("max_speed", "plan.speed", "Largest speed [m/s].", 0.01, 20.0),
+    robot_parameter("max_turn_rate", "plan.turn_rate", "Largest turn rate [rad/s].", 0.05, 50.0),
+    robot_parameter("acceleration", "plan.acceleration", "Largest change of the speed [m/s^2].", 0.05, 100.0),
+    robot_parameter(
+        "turn_acceleration", "plan.turn_acceleration", "Largest change of the turn rate [rad/s^2].", 0.05, 500.0
+    ),
     Parameter("goal_tolerance", 0.15, "Distance from the goal at which it is reached [m].", 0.03, 2.0),
     Parameter(
         "goal_heading_tolerance",

@@ -17,7 +17,6 @@ from ctrl_rl_core.tasks.task_sets import TaskSets
 from numpy.typing import NDArray
 from sim_bridge.engines.planar_engine import shape_row
 from sim_bridge.fleet.kernels import scans
-from sim_bridge.simulation.bodies import DRIVES
 
 from ctrl_rl_core import NavigationTask, Outcome, terminal_reward
 from ctrl_rl_offline.data.dynamics import Dynamics, displacements_before, fit_dynamics
@@ -45,8 +44,8 @@ class LearntWorld:
         self._parts = sensed_interface(task).observation
         world = task.build_world()
         self._shapes = np.array([shape_row(shape) for shape in (*world.walls, *world.obstacles)])
-        drive = DRIVES.get(task.robot.body)
-        self._mount = (0.0, 0.0) if drive is None else drive.lidar[:2]
+        robot = task.robot.robot
+        self._mount = (0.0, 0.0) if robot is None else (robot.lidar.x, robot.lidar.y)
 
     def drive(
         self, starts: Array, before: Array, steps: int, choose: Choose

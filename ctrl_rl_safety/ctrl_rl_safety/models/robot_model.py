@@ -1,28 +1,17 @@
-"""Constants of a robot that drives: size, limits, delay and errors, from a table or a YAML file of one's own.
-
-    name: my_robot
-    radius: 0.2 m
-    speed: 0.5 m/s
-    ...
-
-`ros2 run ctrl_rl_safety identify` writes such a file from a bag.
-"""
+"""What the filter knows of a robot that drives: size, limits, delay and errors, from the robot's file."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import yaml
-from ctrl_rl_core.geometry.units import parse_scalar
-from ctrl_rl_core.io.checked_yaml import read_yaml
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.robots.robot import robot_names
 
-from ctrl_rl_core import atomic_write
+from ctrl_rl_core import Robot, RobotError, atomic_write, find_robot
 from ctrl_rl_safety.errors import SafetyError
 
 UNITS: Mapping[str, str] = {
@@ -174,66 +163,49 @@ class RobotModel:
         Raises:
             SafetyError: The file is missing, wrong, or lacks a constant; the message names it.
         """
-        with raise_as(SafetyError, path):
-            return cls(**_constants(read_yaml(path)))
-
-
-def _constants(content: Any) -> dict[str, Any]:
-    """Return the constants of a file's content.
-
-    Raises:
-        ValueError, SafetyError: One is missing, unknown, or not a number with its unit.
-    """
-    if not isinstance(content, dict):
-        raise SafetyError("must be a mapping of constants, as `radius: 0.2 m`")
-    known = {field.name: field for field in fields(RobotModel)}
-    if unknown := [str(key) for key in content if key not in known]:
-        raise SafetyError(f"unknown constant '{unknown[0][:60]}': there are {', '.join(known)}")
-    needed = [name for name in known if name in ("name", *UNITS) and name not in _OPTIONAL]
-    if missing := [name for name in needed if name not in content]:
-        raise SafetyError(f"lacks '{missing[0]}'")
-    if not (isinstance(content["name"], str) and 0 < len(content["name"]) <= 100):
-        raise SafetyError("name must be a text of 1 to 100 characters")
-    out: dict[str, Any] = {"name": content["name"]}
-    for name in UNITS.keys() & content.keys():
         try:
-            out[name] = parse_scalar(content[name], UNITS[name])
-        except ValueError as error:
-            raise SafetyError(f"{name}: {error}") from None
-    return out
+            return cls.of(Robot.load(path))
+        except RobotError as error:
+            raise SafetyError(str(error)) from None
+
+    @classmethod
+    def of(cls, robot: Robot) -> RobotModel:
+        """Return what the filter knows of a robot.
+
+        Raises:
+            SafetyError: It does not drive.
+        """
+        if robot.kind != "differential_drive":
+            raise SafetyError(f"robot '{robot.name}' does not drive on wheels")
+        return cls(**{field.name: getattr(robot, field.name) for field in fields(cls)})
 
 
-ROBOTS: Mapping[str, RobotModel] = {
-    # Named beside each robot is where its limits were read. Lags, delays, disturbances and errors are assumed for all:
-    # those of `sim_bridge` and of a wireless network. The scan_age is assumed too, but for what a source says.
-    #
-    # Speeds: ROBOTIS e-manual. Accelerations: those that ROBOTIS-GIT/turtlebot3 lets its planner command
-    # (turtlebot3_navigation2/param/burger.yaml: acc_lim_x and decel_lim_x 2.5, acc_lim_theta 3.2).
-    "turtlebot3_burger": RobotModel(
-        "turtlebot3_burger", 0.123, 0.22, 0.22, 2.84, 2.5, 2.5, 3.2, 0.05, 0.1, 0.02, 0.03, 0.0
-    ),
-    # Speeds: the Kobuki's specification, 70 cm/s and 180 deg/s. Accelerations are assumed; the smoother of
-    # turtlebot/turtlebot (turtlebot_bringup/param/defaults/smoother.yaml) asks for 0.6 m/s^2 and 5.4 rad/s^2 at most.
-    "turtlebot2": RobotModel("turtlebot2", 0.177, 0.7, 0.7, 3.14, 1.0, 1.0, 2.0, 0.05, 0.1, 0.03, 0.03, 0.0),
-    # Create 3 (iRobotEducation/create3_docs, docs/api/safety.md): 0.306 m/s while its safety features are on, which
-    # also stop it when it backs up for long; wheel_accel_limit 0.9 m/s^2. The turn rate is its documentation's, 1.9
-    # rad/s; the turn acceleration follows from the wheels', 0.233 m apart.
-    "turtlebot4": RobotModel("turtlebot4", 0.189, 0.306, 0.306, 1.9, 0.9, 0.9, 7.7, 0.05, 0.15, 0.03, 0.03, 0.13),
-    # Speeds: jackal/jackal, jackal_control/config/control.yaml, 2 m/s and 4 rad/s. Its 20 m/s^2 and 25 rad/s^2 are
-    # more than wheels have on a floor, where they slip at friction * g: 4 and 10 are assumed.
-    "jackal": RobotModel("jackal", 0.333, 2.0, 2.0, 4.0, 4.0, 4.0, 10.0, 0.05, 0.1, 0.05, 0.03, 0.0, 0.508, 0.43),
-}
+class _Robots(Mapping[str, RobotModel]):
+    """The suite's robots on wheels, each read when it is asked for."""
+
+    def __getitem__(self, name: str) -> RobotModel:
+        if name not in robot_names():
+            raise KeyError(name)
+        return RobotModel.of(find_robot(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in robot_names() if find_robot(name).kind == "differential_drive")
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+ROBOTS: Mapping[str, RobotModel] = _Robots()
 """Constants of robots that many have; measure one's own with `identify` before one trusts them."""
 
 
 def find_model(name: str) -> RobotModel:
-    """Return the model of a name in `ROBOTS`, or of a YAML file.
+    """Return the model of a robot by its name, or by the path of its YAML file.
 
     Raises:
         SafetyError: There is neither.
     """
-    if name in ROBOTS:
-        return ROBOTS[name]
-    if name.endswith((".yaml", ".yml")):
-        return RobotModel.load(Path(name).expanduser())
-    raise SafetyError(f"no robot model '{name[:60]}': there are {', '.join(ROBOTS)}, or a .yaml file")
+    try:
+        return RobotModel.of(find_robot(name))
+    except RobotError as error:
+        raise SafetyError(str(error)) from None

@@ -16,12 +16,6 @@ FILTER_PARAMETERS = (
     Parameter("raw_timeout", 0.5, "Age of the last raw command that counts as zero [s].", 0.05, 10.0),
     Parameter("control_period", 0.05, "Longest time from command to command [s].", 0.02, 0.2),
     Parameter(
-        "robot",
-        "turtlebot3_burger",
-        "Constants of the robot: turtlebot3_burger, turtlebot2, turtlebot4, jackal, or a .yaml file.",
-        kind="path",
-    ),
-    Parameter(
         "mover_speed",
         _DEFAULT.mover_speed,
         "Largest speed of people and other robots around; 0.0 where nothing else moves [m/s].",

@@ -21,7 +21,7 @@ from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions
-from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel
+from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel, find_model
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, TrialRobot
 from ctrl_rl_safety.trials.sources import Driver, FullSpeed, Random, Source
 from ctrl_rl_safety.trials.worlds import PLACES, room, with_movers, with_whole_scan
@@ -43,9 +43,10 @@ GUARDS = {
 UNGUARDED = ("none", "alone")
 """Guards without the filter, to which the others are compared."""
 _LESS_BRAKING, _MORE_DELAY, _LATE = 0.9, 0.03, 0.7
-CAR = RobotModel("car", 0.177, 2.0, 0.8, 0.5, 3.1, 3.1, 25.2, 0.05, 0.0, 0.08, 0.03, 0.0, track=0.23)
+CAR = RobotModel(
+    "car", ROBOTS["turtlebot2"].radius, 2.0, 0.8, 0.5, 3.1, 3.1, 25.2, 0.05, 0.0, 0.08, 0.03, 0.0, track=0.23
+)
 """The car of `car_ttr` and `car_navigation`. The force of its motors limits speed and turn rate together."""
-_OF_TASKS = {"turtlebot2": CAR, "turtlebot3_burger": ROBOTS["turtlebot3_burger"]}
 _SIZE = 4.0
 """Extent of movers that the filter is told, over the radius of the largest in a task."""
 _RATES = {"planar": 40}
@@ -143,7 +144,7 @@ class Player:
             self._model = ROBOTS[cell.robot]
         else:
             self._task = with_movers(with_whole_scan(load_navigation_task(cell.place), scan_rate), movers)
-            self._model = _OF_TASKS[self._task.robot.body]
+            self._model = CAR if self._task.robot.body == "turtlebot2" else find_model(self._task.robot.body)
         if cell.guard == "late":
             self._options = SimulationOptions(engine=engine, command_delay=_LATE)
             self._model = replace(self._model, delay=_LATE)

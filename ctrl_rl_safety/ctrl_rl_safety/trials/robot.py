@@ -12,7 +12,6 @@ from collections import deque
 import numpy as np
 from ctrl_rl_core.sensing.scan import view_scan
 from numpy.typing import NDArray
-from sim_bridge.simulation.bodies import DRIVES
 
 from ctrl_rl_core import Outcome
 from ctrl_rl_safety.filter.map_walls import MapWalls
@@ -102,7 +101,9 @@ class TrialRobot:
         self._base = _OwnWheels() if base is None else Base(base, 1.0 / rate)
         self._tick, self._steps = tick, max(1, round(tick * rate))
         self._turn = max(1, round(rate / world.lidar.spec.rate))
-        self._forward = DRIVES[world.task.robot.body].lidar[0]
+        robot = world.task.robot.robot
+        assert robot is not None, "a robot on wheels"
+        self._forward = robot.lidar.x
         self.ticks = self.changed = 0
         self.distance = 0.0
         self._stood_at: Array = world.pose()[:2]

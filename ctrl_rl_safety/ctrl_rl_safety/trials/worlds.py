@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.tasks.schema.movers import MoverSpec
-from ctrl_rl_core.tasks.schema.robot import BODIES
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, find_robot
 from ctrl_rl_safety.models.robot_model import RobotModel
 
 PLACES = ("boxes", "movers")
@@ -39,7 +38,7 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
         seed: Seed of the boxes.
     """
     random, half, start = np.random.default_rng((seed, 7)), _HALVES[place], _STARTS[place]
-    free = BODIES[body].radius + 1.5 * start + 0.65
+    free = find_robot(body).radius + 1.5 * start + 0.65
     boxes: list[dict[str, Any]] = []
     while len(boxes) < _BOXES[place]:
         x, y = random.uniform(-half[0], half[0]), random.uniform(-half[1], half[1])

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
+from ctrl_rl_core.ros.parameters import robot_parameter
 
 from ctrl_rl_core import Parameter, run_node
 from koopman_lqr_controller.arrays import Array
@@ -60,11 +61,11 @@ class ScriptedDriverNode(LidarDriver):
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *DRIVER_PARAMETERS,
         Parameter("seed", 0, "Seed of the noise on the commands.", 0, 2**31 - 1),
-        Parameter("speed", 0.15, "Mean speed [m/s].", 0.0, 0.22),
+        Parameter("speed", 0.15, "Mean speed [m/s].", 0.0, 2.0),
         Parameter("turn_noise", 0.3, "Standard deviation of the noise on the turn rate [rad/s].", 0.0, 2.0),
         Parameter("speed_noise", 0.04, "Standard deviation of the noise on the speed [m/s].", 0.0, 0.1),
-        Parameter("largest_speed", 0.22, "Limit of the commanded speed [m/s].", 0.01, 2.0),
-        Parameter("largest_turn_rate", 2.84, "Limit of the commanded turn rate [rad/s].", 0.01, 10.0),
+        robot_parameter("largest_speed", "speed", "Limit of the commanded speed [m/s].", 0.01, 20.0),
+        robot_parameter("largest_turn_rate", "turn_rate", "Limit of the commanded turn rate [rad/s].", 0.01, 50.0),
     )
 
     def __init__(self) -> None:

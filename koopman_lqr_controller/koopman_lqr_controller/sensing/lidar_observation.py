@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 from numpy.typing import NDArray
 
-from ctrl_rl_core import ScanGeometry, Sectors
+from ctrl_rl_core import ScanGeometry, Sectors, find_robot
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.sensing.lidar import check_speeds
@@ -33,7 +34,7 @@ class LidarObservation:
     near: float = 0.35
     closest: float = 0.12
     far: float = 3.5
-    speed: float = 0.22
+    speed: float = find_robot(DEFAULT_ROBOT).speed
     turn: float = 1.5
 
     def __post_init__(self) -> None:

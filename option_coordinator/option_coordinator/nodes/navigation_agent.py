@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -37,7 +38,7 @@ class NavigationAgent(LidarVelocityNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        *LIDAR_PARAMETERS,
+        *(replace(each, name="body") if each.kind == "robot" else each for each in LIDAR_PARAMETERS),
         Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file.", kind="path"),
         Parameter("robot", "", "Name of the robot in the team; empty for the name of its namespace."),
         Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),

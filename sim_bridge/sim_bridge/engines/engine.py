@@ -38,7 +38,7 @@ class WheeledRobot:
     """A robot on a floor, driven by two wheels.
 
     Attributes:
-        urdf: File name in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
+        urdf: Path of its file, or its name in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
         pose: Pose x, y, theta of the root link at the start (3,) [m, m, rad].
         torque: Largest torque of one wheel [N m].
         friction: Friction coefficient between wheel and floor.
@@ -55,7 +55,7 @@ class FlyingRobot:
     """A robot that is held in the x-z plane by joints `x`, `z` and `psi` without friction.
 
     Attributes:
-        urdf: File name in `urdf/`.
+        urdf: Path of its file, or its name in `urdf/`.
         pose: Joint positions x, z, psi at the start (3,) [m, m, rad].
         velocity: Joint speeds at the start (3,) [m/s, m/s, rad/s].
         mass: Mass of the whole robot [kg].

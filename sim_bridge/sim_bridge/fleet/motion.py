@@ -10,11 +10,12 @@ from ctrl_rl_core.tasks.regions import ANGLES
 from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, System
+from ctrl_rl_core import NavigationTask, Robot, System
 from sim_bridge.engines.planar_parts import Outline, disc_outline, outline, wheeled_model
 from sim_bridge.fleet.kernels import roll
-from sim_bridge.simulation.bodies import DRIVES
+from sim_bridge.simulation.bodies import drive_of
 from sim_bridge.simulation.model_body import LIDAR_HEIGHT, advance
+from sim_bridge.simulation.robot_urdf import urdf_of
 
 Array = NDArray[np.float64]
 
@@ -24,12 +25,12 @@ class FleetMotion(Protocol):
 
     Attributes:
         outline: Collision shapes of a robot.
-        lidar: Position of the lidar along and across the robot and its height (3,) [m].
+        lidar: Position of the lidar along and across the robot, its height [m], and its direction [rad] (4,).
         poses: Poses x, y, theta or x, z, psi (N, 3) [m, m, rad].
     """
 
     outline: Outline
-    lidar: tuple[float, float, float]
+    lidar: tuple[float, float, float, float]
     poses: Array
 
     def begin(self, index: int, state: dict[str, float]) -> None:
@@ -52,8 +53,8 @@ class WheeledMotion:
     """Differential drives on velocity motors with a lag and limited torque, which roll without slipping."""
 
     def __init__(self, task: NavigationTask, size: int, rate: int) -> None:
-        drive = DRIVES[task.robot.body]
-        self.outline, self.lidar = outline(drive.urdf, "xy"), drive.lidar
+        drive = drive_of(task)
+        self.outline, self.lidar = outline(drive.urdf, "xy"), (*drive.lidar, drive.lidar_yaw)
         model = wheeled_model(drive.urdf)
         self._own, self._shared = model.answers
         self._impulse, self._share = drive.torque / rate, -math.expm1(-1.0 / (rate * drive.lag))
@@ -102,10 +103,10 @@ class WheeledMotion:
 class FlyingMotion:
     """Planar quadrotors (thesis Eq. 3.10) by the leapfrog of `simulation.bodies.PlanarQuadrotor`."""
 
-    lidar = (0.0, 0.0, 0.0)
+    lidar = (0.0, 0.0, 0.0, 0.0)
 
-    def __init__(self, system: System, size: int, rate: int) -> None:
-        self.outline = outline("planar_quadrotor.urdf", "xz")
+    def __init__(self, robot: Robot, system: System, size: int, rate: int) -> None:
+        self.outline = outline(str(urdf_of(robot)), "xz")
         self._equations = system.equations(np, system.parameters)
         self._step = 1.0 / rate
         self.poses, self._speeds = np.zeros((size, 3)), np.zeros((size, 3))
@@ -148,7 +149,7 @@ class FlyingMotion:
 class ModelMotion:
     """Discs that move exactly as the task's system says, see `simulation.model_body`."""
 
-    lidar = (0.0, 0.0, LIDAR_HEIGHT)
+    lidar = (0.0, 0.0, LIDAR_HEIGHT, 0.0)
 
     def __init__(self, task: NavigationTask, system: System, size: int, rate: int) -> None:
         self.outline = disc_outline(task.robot.radius)
@@ -184,8 +185,8 @@ class ModelMotion:
 
 def make_motion(task: NavigationTask, system: System, size: int, rate: int) -> FleetMotion:
     """Return the motion of a task's robots."""
-    if task.robot.body == "planar_quadrotor":
-        return FlyingMotion(system, size, rate)
+    if task.robot.robot is not None and task.plane == "xz":
+        return FlyingMotion(task.robot.robot, system, size, rate)
     if task.robot.body == MODEL:
         return ModelMotion(task, system, size, rate)
     return WheeledMotion(task, size, rate)

@@ -150,10 +150,11 @@ class PlanarFleet:
         """Return what each robot observes, in SI units (N, d), as `NavigationEnv` names and bounds it."""
         ranges = np.empty((len(self), len(self._bearings)))
         origins = self._places()
-        along, aside, _ = self._motion.lidar
+        along, aside, _, yaw = self._motion.lidar
         c, s = np.cos(origins[:, 2]), np.sin(origins[:, 2])
         origins[:, 0] += c * along - s * aside
         origins[:, 1] += s * along + c * aside
+        origins[:, 2] += yaw
         lidar = self.task.lidar
         scans(self._seen, origins, self._bearings, lidar.range.high, ranges)
         if lidar.noise > 0.0:

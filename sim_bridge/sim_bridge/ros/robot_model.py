@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from builtin_interfaces.msg import Time
-from ctrl_rl_core.tasks.schema.robot import MODEL
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ctrl_rl_core import NavigationTask
-from sim_bridge.engines.engine import URDF_FOLDER
 from sim_bridge.errors import SimulationError
 from sim_bridge.ros.frames import Frames, transform
+from sim_bridge.simulation.robot_urdf import urdf_of
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 
@@ -26,6 +25,7 @@ class _Joint:
     parent: str
     child: str
     place: tuple[float, float, float]
+    yaw: float
 
 
 class RobotModel:
@@ -38,11 +38,12 @@ class RobotModel:
 
     def __init__(self, frames: Frames, task: NavigationTask) -> None:
         self._frames = frames
-        if task.robot.body == MODEL:
+        robot = task.robot.robot
+        if robot is None:
             raise SimulationError(
                 f"task '{task.name}': a body 'model' has no drivers to stand in for: simulate it in Python"
             )
-        text = (URDF_FOLDER / f"{task.robot.body}.urdf").read_text(encoding="utf-8")
+        text = urdf_of(robot).read_text(encoding="utf-8")
         self.description = String(data=text)
         self._joints = {joint.get("name", ""): _read(joint) for joint in ET.fromstring(text).iter("joint")}
         self.fixed = [self._transform(joint) for joint in self._joints.values() if joint.kind == "fixed"]
@@ -70,12 +71,15 @@ class RobotModel:
         return out
 
     def _transform(self, joint: _Joint) -> TransformStamped:
-        return transform(self._frames.topic(joint.parent), self._frames.topic(joint.child), joint.place)
+        out = transform(self._frames.topic(joint.parent), self._frames.topic(joint.child), joint.place)
+        out.transform.rotation.z, out.transform.rotation.w = math.sin(0.5 * joint.yaw), math.cos(0.5 * joint.yaw)
+        return out
 
 
 def _read(joint: ET.Element) -> _Joint:
-    """Return a joint of our own files, in which no joint's origin is turned."""
+    """Return a joint whose origin is turned about the vertical alone, such as a lidar's."""
     links = {part.tag: part.get("link", "") for part in joint}
     origin = joint.find("origin")
     x, y, z = (0.0, 0.0, 0.0) if origin is None else map(float, origin.get("xyz", "0 0 0").split())
-    return _Joint(joint.get("type", ""), links["parent"], links["child"], (x, y, z))
+    turn = (0.0, 0.0, 0.0) if origin is None else tuple(map(float, origin.get("rpy", "0 0 0").split()))
+    return _Joint(joint.get("type", ""), links["parent"], links["child"], (x, y, z), turn[2])

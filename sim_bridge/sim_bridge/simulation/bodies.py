@@ -14,12 +14,13 @@ import numpy as np
 from ctrl_rl_core.tasks.schema.robot import MODEL
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, System
+from ctrl_rl_core import NavigationTask, Robot, System
 from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheelBase, WheeledRobot
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.lidar import SensorPose
 from sim_bridge.simulation.model_body import ModelBody
 from sim_bridge.simulation.options import SimulationOptions
+from sim_bridge.simulation.robot_urdf import urdf_of
 
 Array = NDArray[np.float64]
 
@@ -67,14 +68,14 @@ class DriveParameters:
     """Parameters of a differential drive.
 
     Attributes:
-        urdf: Name of the file in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
+        urdf: Path of its URDF file.
         wheel_radius: Radius of the wheels [m].
         wheel_separation: Distance between the wheels [m].
         torque: Largest torque of one wheel [N m].
         lag: Time constant of the wheel speed [s].
         bounds: Least and largest v [m/s] and omega [rad/s]; None for the task's command bounds.
-        base_height: Height of base_link above base_footprint [m].
         lidar: Position of the lidar in base_footprint (3,) [m].
+        lidar_yaw: Direction of its zero bearing [rad].
     """
 
     urdf: str
@@ -83,42 +84,25 @@ class DriveParameters:
     torque: float
     lag: float
     bounds: tuple[tuple[float, float], tuple[float, float]] | None
-    base_height: float
     lidar: tuple[float, float, float]
+    lidar_yaw: float
 
 
-DRIVES: Mapping[str, DriveParameters] = {
-    "turtlebot3_burger": DriveParameters(
-        urdf="turtlebot3_burger.urdf",
-        wheel_radius=0.033,
-        wheel_separation=0.160,
-        torque=0.5,
-        lag=0.05,
-        bounds=((-0.22, 0.22), (-2.84, 2.84)),
-        base_height=0.010,
-        lidar=(-0.032, 0.0, 0.182),
-    ),
-    "turtlebot2": DriveParameters(
-        urdf="turtlebot2.urdf",
-        wheel_radius=0.035,
-        wheel_separation=0.230,
-        torque=0.35,
-        lag=0.05,
-        bounds=None,
-        base_height=0.0102,
-        lidar=(0.0, 0.0, 0.300),
-    ),
-    "jackal": DriveParameters(
-        urdf="jackal.urdf",
-        wheel_radius=0.098,
-        wheel_separation=0.376,
-        torque=10.0,
-        lag=0.05,
-        bounds=((-2.0, 2.0), (-4.0, 4.0)),
-        base_height=0.0630,
-        lidar=(0.055, 0.0, 0.250),
-    ),
-}
+def drive_of(task: NavigationTask) -> DriveParameters:
+    """Return the drive of a task's robot.
+
+    Raises:
+        SimulationError: It has no wheels.
+    """
+    robot = task.robot.robot
+    if robot is None or robot.wheels is None:
+        raise SimulationError(f"task '{task.name}': robot '{task.robot.body}' has no wheels to drive")
+    wheels, lidar, (low, high) = robot.wheels, robot.lidar, robot.limits
+    bounds = ((low[0], high[0]), (low[1], high[1])) if wheels.limited else None
+    place = lidar.x, lidar.y, lidar.z
+    return DriveParameters(
+        str(urdf_of(robot)), wheels.radius, wheels.separation, wheels.torque, wheels.lag, bounds, place, lidar.yaw
+    )
 
 
 class DifferentialDrive:
@@ -176,6 +160,8 @@ class DifferentialDrive:
         c, s = math.cos(theta), math.sin(theta)
         along, aside, height = self._drive.lidar
         origin = np.array((x + c * along - s * aside, y + s * along + c * aside, height))
+        if self._drive.lidar_yaw:
+            c, s = math.cos(theta + self._drive.lidar_yaw), math.sin(theta + self._drive.lidar_yaw)
         return SensorPose(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
 
     def wheel_angles(self) -> tuple[float, float] | None:  # noqa: D102
@@ -268,19 +254,25 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
     """
     named = dict(zip(system.state_names, state.tolist(), strict=True))
     radius = task.robot.radius
-    if task.robot.body == "planar_quadrotor":
+    if task.robot.body != MODEL and task.plane == "xz":
         pose, velocity = _take(task, named, "x", "z", "psi"), _take(task, named, "v_x", "v_z", "omega")
         mass, inertia = (system.parameters[name] for name in ("m", "I_yy"))
-        joints = engine.add_flying(FlyingRobot("planar_quadrotor.urdf", pose, velocity, mass, inertia))
+        joints = engine.add_flying(FlyingRobot(str(urdf_of(_robot(task))), pose, velocity, mass, inertia))
         return PlanarQuadrotor(joints, engine.rate, system, radius)
     if task.robot.body == MODEL:
         limits = np.array(list(task.robot.commands.values()))
         return ModelBody(engine.add_disc(radius), system, limits, state, radius, engine.rate)
-    drive = DRIVES[task.robot.body]
+    drive = drive_of(task)
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
     pose = _take(task, named, "x", "y", "theta")
     base = engine.add_wheeled(WheeledRobot(drive.urdf, pose, drive.torque, options.friction))
     return DifferentialDrive(base, drive, bounds, radius, options)
+
+
+def _robot(task: NavigationTask) -> Robot:
+    """Return the robot of a task whose body is none of a model."""
+    assert task.robot.robot is not None
+    return task.robot.robot
 
 
 def _take(task: NavigationTask, state: Mapping[str, float], *names: str) -> Array:

@@ -48,6 +48,7 @@ class LidarScan:
         angle_increment: From beam to beam [rad].
         range_min: Least distance that the driver claims to measure [m].
         range_max: Largest distance that it claims [m].
+        yaw: Direction of its zero bearing in the robot's frame [rad].
     """
 
     ranges: NDArray[np.float32]
@@ -55,11 +56,13 @@ class LidarScan:
     angle_increment: float
     range_min: float
     range_max: float
+    yaw: float = 0.0
 
     @property
     def geometry(self) -> ScanGeometry:
-        """Bearings and limits of the beams."""
-        return ScanGeometry(len(self.ranges), self.angle_min, self.angle_increment, self.range_min, self.range_max)
+        """Bearings and limits of the beams in the robot's frame."""
+        ranges = self.range_min, self.range_max
+        return ScanGeometry(len(self.ranges), self.angle_min + self.yaw, self.angle_increment, *ranges)
 
 
 class Lidar:

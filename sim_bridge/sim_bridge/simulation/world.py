@@ -11,7 +11,7 @@ Robots are numbered from 0; (n,) is the task system's number of states.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from ctrl_rl_core.sensing.odometry import make_odometry
@@ -239,7 +239,9 @@ class SimulatedWorld:
         if self.clearance(robot) <= 0.0:
             place = frame.origin[[0, 1] if self.plane == "xy" else [0, 2]]
             buried = bool(self.geometry.signed_distance(place) < 0.0) or self._movers.hold(place)
-        return self.lidar.scan(self._engine, frame, robot, entry.scan_random, buried)
+        scan = self.lidar.scan(self._engine, frame, robot, entry.scan_random, buried)
+        mounted = self.task.robot.robot
+        return scan if mounted is None or mounted.lidar.yaw == 0.0 else replace(scan, yaw=mounted.lidar.yaw)
 
     def sensors(
         self, robot: int = 0, goal: Array | None = None, command: Array | None = None, scan: LidarScan | None = None

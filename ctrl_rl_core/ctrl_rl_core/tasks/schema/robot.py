@@ -1,66 +1,60 @@
-"""The robot of a task file: its body, the commands that a policy may give it, and its lidar."""
+"""The robot of a task file: its body, and the commands that a policy may give it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Literal
+import re
+from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from ctrl_rl_core.geometry.units import (
-    Angle,
-    AngleInterval,
-    Interval,
-    Length,
-    LengthInterval,
-    PositiveLength,
-    PositiveRate,
-)
+from ctrl_rl_core.geometry.units import Angle, Interval, PositiveLength
+from ctrl_rl_core.robots.lidar import LidarSpec as LidarSpec
+from ctrl_rl_core.robots.robot import Robot, RobotError, find_robot, robot_file
 from ctrl_rl_core.tasks.schema.parts import Part, interval_map
 from ctrl_rl_core.tasks.schema.system import CONTROL_UNITS
 
 MODEL = "model"
 """Name of the body that is a disc and moves exactly as the task's system model says."""
-
-
-@dataclass(frozen=True)
-class Body:
-    """Size and commands of a robot's body.
-
-    Attributes:
-        radius: Radius of a circle around the body's origin that holds all of it [m].
-        commands: Names of its commands, in the order of messages.
-    """
-
-    radius: float
-    commands: tuple[str, str]
-
-
-BODIES: Mapping[str, Body] = {
-    "turtlebot3_burger": Body(0.123, ("v", "omega")),
-    "turtlebot2": Body(0.177, ("v", "omega")),
-    "jackal": Body(0.333, ("v", "omega")),
-    "planar_quadrotor": Body(0.4191, ("T_1", "T_2")),
-}
-"""The bodies that `sim_bridge` has a URDF of."""
+_WORD = re.compile(r"\brobot\b")
 
 
 class RobotSpec(Part):
     """The body that carries out the commands.
 
     Attributes:
-        body: Name of the body in `BODIES`, or `MODEL`.
-        commands: Bounds of a policy's commands by name, within those of the body; of a model its two controls.
+        body: Name of a robot, the path of its file, relative to that of the task, or `MODEL`.
+        commands: Bounds of a policy's commands by name; those of the robot where left out. Of a model its two controls.
         footprint: Radius of the disc that a model is [m]; other bodies have their own size.
         tilt_limit: Pitch beyond which a flying body counts as crashed [rad].
     """
 
-    body: Literal["turtlebot3_burger", "turtlebot2", "jackal", "planar_quadrotor", "model"]
+    body: str = Field(max_length=4000)
     commands: Annotated[dict[str, Interval], interval_map(CONTROL_UNITS)]
     footprint: PositiveLength | None = None
     tilt_limit: Angle | None = None
+    _robot: Robot | None = PrivateAttr(None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_commands(cls, value: Any, info: ValidationInfo) -> Any:
+        """Take the robot's limits where no commands are named."""
+        robot = named_robot(value, info)
+        if robot is None or robot.kind != "differential_drive" or "commands" in value:
+            return value
+        return {**value, "commands": dict(zip(robot.commands, limits_of(robot), strict=True))}
+
+    @field_validator("body")
+    @classmethod
+    def _found(cls, value: str, info: ValidationInfo) -> str:
+        """Refuse an unknown robot, and make a path absolute."""
+        if value == MODEL:
+            return value
+        try:
+            find_robot(value, _folder(info))
+        except RobotError as error:
+            raise ValueError(f"{error}, or '{MODEL}'") from None
+        return str(robot_file(value, _folder(info)).resolve()) if value.endswith((".yaml", ".yml")) else value
 
     @model_validator(mode="after")
     def _of_the_body(self) -> RobotSpec:
@@ -68,47 +62,53 @@ class RobotSpec(Part):
             raise ValueError("footprint: is the radius of a body 'model', e.g. 0.2 m; other bodies have their own size")
         if self.body == MODEL:
             return self
-        wanted = BODIES[self.body].commands
+        self._robot = find_robot(self.body)
+        wanted = self._robot.commands
         if tuple(self.commands) != wanted:
             there = ", ".join(self.commands) or "none"
             raise ValueError(f"commands: are {there}, must be {' and '.join(wanted)}, in this order, for {self.body}")
         return self
 
     @property
+    def robot(self) -> Robot | None:
+        """The robot; None for a model."""
+        return self._robot
+
+    @property
     def radius(self) -> float:
         """Radius of a circle around the body's origin that holds all of it [m]."""
-        return BODIES[self.body].radius if self.footprint is None else self.footprint
+        if self.footprint is not None:
+            return self.footprint
+        assert self._robot is not None
+        return self._robot.radius
 
 
-class LidarSpec(Part):
-    """Range beams, evenly spread over the field of view, counter-clockwise.
+def named_robot(content: Any, info: ValidationInfo) -> Robot | None:
+    """Return the robot of a task file's part `robot`; None for a model, and where it is wrong, which is said later."""
+    body = content.get("body") if isinstance(content, dict) else None
+    if not isinstance(body, str) or body == MODEL:
+        return None
+    try:
+        return find_robot(body, _folder(info))
+    except RobotError:
+        return None
 
-    Attributes:
-        beams: Number of beams in a scan.
-        field: Field of view [rad]; the last beam of a whole turn does not repeat the first.
-        placement: Bearings of the beams, at the `edges` of the field, or at `centres` of equal sectors.
-        range: Least and largest distance measured [m].
-        rate: Scans per second [Hz].
-        noise: Standard deviation of a range [m].
-        dropout: Probability that a beam returns nothing.
-    """
 
-    beams: int = Field(gt=0, le=10_000)
-    field: AngleInterval
-    placement: Literal["edges", "centres"] = "edges"
-    range: LengthInterval
-    rate: PositiveRate
-    noise: Length = 0.0
-    dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
+def limits_of(robot: Robot) -> tuple[str, str]:
+    """Return the commands that a robot on wheels can carry out, as a task file writes them."""
+    (back, right), (ahead, left) = robot.limits
+    return f"{back} .. {ahead} m/s", f"{right} .. {left} rad/s"
 
-    @property
-    def angle_min(self) -> float:
-        """Bearing of the first beam [rad]."""
-        return self.field.low + (0.5 * self.angle_increment if self.placement == "centres" else 0.0)
 
-    @property
-    def angle_increment(self) -> float:
-        """Angle from beam to beam [rad]."""
-        whole_turn = math.isclose(self.field.length, 2 * math.pi)
-        gaps = self.beams if whole_turn or self.placement == "centres" else max(1, self.beams - 1)
-        return self.field.length / gaps
+def with_limits(controls: dict[str, Any], robot: Robot) -> dict[str, Any]:
+    """Return bounds of controls with a robot's limits in place of the word `robot`, as in `v: 0.0 .. robot m/s`."""
+    limits = {"v": robot.speed, "omega": robot.turn_rate}
+    return {
+        name: _WORD.sub(str(limits[name]), text) if isinstance(text, str) and name in limits else text
+        for name, text in controls.items()
+    }
+
+
+def _folder(info: ValidationInfo) -> Path | None:
+    folder: Path | None = (info.context or {}).get("folder")
+    return folder

@@ -16,12 +16,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 from ctrl_rl_core.tasks.schema.world import CorridorSpec
 from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Interval, NavigationTask, Outcome, ScanGeometry, load_navigation_task
+from ctrl_rl_core import Interval, NavigationTask, Outcome, ScanGeometry, find_robot, load_navigation_task
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.latent_policy import RobotInterface
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
@@ -35,7 +36,7 @@ _AT_SPEED = 0.9
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
 """Lidars of an episode's robot, largest probability that a beam is lost, longest delay of a command [s]."""
 _RATE = 60
-_FASTEST, _HARDEST = 0.22, 1.5
+_FASTEST, _HARDEST = find_robot(DEFAULT_ROBOT).speed, 1.5
 """Largest command of a policy, forwards [m/s] and to both sides [rad/s]; less where the task allows less."""
 _NEAR_WALL = 0.15
 """Clearance below which a step pays less [m]."""

@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 
 _SPACING = 0.05
 _RADIUS = 0.1
-_START_RADIUS = 0.125
-"""Radius of the circle that a robot keeps free at its start [m]."""
 
 
 class TeamDeliverySimulation:
@@ -61,7 +59,7 @@ class TeamDeliverySimulation:
     def reset(self, generator: np.random.Generator) -> None:
         """Begin an episode where the room says."""
         self._poses = np.array(
-            draw_starts(self._task, self._system, self._world, len(self.agents), _START_RADIUS, generator)
+            draw_starts(self._task, self._system, self._world, len(self.agents), self._task.robot.radius, generator)
         )
         self._work = [Delivery(self.team, name) for name in self.team.robots]
         self._began = [0.0] * len(self.agents)
