@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -49,7 +50,7 @@ def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
 
 def _alternative(title: str, found: Found, part: str) -> str:
     """Return what a picture shows, for those who do not see it: the finding with its number."""
-    sentence = _TEXTS[part](found).partition("\n")[0].partition(". ")[0].rstrip(".")
+    sentence = re.split(r"(?<!Fig)\. ", _TEXTS[part](found).partition("\n")[0])[0].rstrip(".")
     return title if set("[]|") & set(sentence) else sentence
 
 
