@@ -240,3 +240,31 @@ def test_nothing_else_names_a_colour_a_size_or_a_font():
         if LOOKS.search(line)
     ]
     assert wrong == []
+
+
+PAGES = sorted(set(ROOT.glob("*.md")) | set(ROOT.glob("docs/**/*.md")) | set(ROOT.glob("*/README.md")))
+_PICTURE = re.compile(r"^!\[([^\]]*)\]\(([^)\s]+)\)\n\n(.*)$|!\[([^\]]*)\]\(([^)\s]+)\)", re.MULTILINE)
+
+
+def shown():
+    """Yield page, alternative text, picture and the line after it, of every picture on a page."""
+    for page in PAGES:
+        if "reference" not in page.relative_to(ROOT).parts:  # written from the READMEs
+            for found in _PICTURE.finditer(page.read_text(encoding="utf-8")):
+                text, target = found[1] or found[4] or "", found[2] or found[5]
+                yield page, text, (page.parent / target).resolve(), found[3] or ""
+
+
+def test_every_picture_is_on_a_page():
+    there = {file for folder in ("images", "analysis") for file in (ROOT / "docs" / folder).rglob("*")
+             if file.suffix in (".png", ".svg", ".gif", ".webp")}  # fmt: skip
+    on_pages = {picture for *_, picture, _ in shown()}
+    assert sorted(map(str, there - on_pages)) == []
+    assert sorted(map(str, {picture for picture in on_pages if not picture.is_file()})) == []
+
+
+def test_every_picture_has_a_caption_and_tells_its_finding():
+    bare = [f"{page.relative_to(ROOT)}: {picture.name}" for page, _, picture, caption in shown() if caption[:1] != "*"]
+    assert bare == []
+    short = [f"{page.relative_to(ROOT)}: {picture.name}" for page, text, picture, _ in shown() if len(text) < 15]
+    assert short == []
