@@ -2,7 +2,6 @@ from .alignment.alignment import AlignedSamples as AlignedSamples
 from .alignment.alignment import align as align
 from .alignment.extractors import EXTRACTORS as EXTRACTORS
 from .alignment.extractors import Extractor as Extractor
-from .alignment.extractors import Scan as Scan
 from .alignment.resampling import TimeSeries as TimeSeries
 from .alignment.resampling import resample as resample
 from .format.bag_info import BagInfo as BagInfo

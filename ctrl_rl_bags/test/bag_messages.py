@@ -62,7 +62,7 @@ def odometry(stamp, x, y, yaw, v=0.0, omega=0.0):
 def scan(stamp, ranges):
     ranges = np.asarray(ranges, dtype=np.float32)
     return STORE.types["sensor_msgs/msg/LaserScan"](
-        header(stamp), 0.0, 6.28, 0.01745, 0.0, 0.2, 0.12, 3.5, ranges, np.empty(0, np.float32)
+        header(stamp), 0.0, 0.01745 * (len(ranges) - 1), 0.01745, 0.0, 0.2, 0.12, 3.5, ranges, np.empty(0, np.float32)
     )
 
 

@@ -14,7 +14,7 @@ START = 1_700_000_000 * SECOND
 
 
 def write_drive(folder, stamp_offset=0, reset_at=None):
-    """Odometry at 50 Hz on a turning line, scans at 10 Hz with as many beams as their number, commands at 20 Hz."""
+    """Odometry at 50 Hz on a turning line, scans at 10 Hz, each with a beam more, commands at 20 Hz."""
     with BagWriter(folder) as bag:
         bag.add_topic(topic("/odom", "nav_msgs/msg/Odometry"))
         bag.add_topic(topic("/scan", "sensor_msgs/msg/LaserScan"))
@@ -27,7 +27,7 @@ def write_drive(folder, stamp_offset=0, reset_at=None):
                 yaw = (3.0 + 2.0 * t + np.pi) % (2 * np.pi) - np.pi
                 bag.write("/odom", cdr(odometry(stamp, 0.5 * t, 1.0 - t, yaw, 0.5, 2.0)), now)
             if k % 10 == 0:
-                bag.write("/scan", cdr(scan(stamp, np.full(k // 10, t))), now)
+                bag.write("/scan", cdr(scan(stamp, np.full(k // 10 + 1, t))), now)
             if k % 5 == 0:
                 bag.write("/cmd_vel", cdr(twist(t, -t)), now)
     return folder
@@ -50,7 +50,7 @@ class TestAlign:
 
     def test_scans_are_the_reference(self, tmp_path):
         (got,) = align(write_drive(tmp_path / "bag"), ["/scan", "/odom", "/cmd_vel"], "/scan")
-        assert [len(scan.ranges) for scan in got.values["/scan"]] == list(range(20))
+        assert [len(scan.ranges) for scan in got.values["/scan"]] == list(range(1, 21))
         np.testing.assert_allclose(got.values["/odom"][:, 0], 0.5 * got.seconds)
         np.testing.assert_allclose(got.values["/cmd_vel"][:, 0], got.seconds)
         np.testing.assert_array_equal(got.ages["/cmd_vel"], 0.0)

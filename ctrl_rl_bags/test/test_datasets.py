@@ -31,6 +31,14 @@ TWIST = "geometry_msgs/msg/Twist"
 FORMATS = {"lerobot": "pyarrow", "minari": "h5py"}
 
 
+def somewhere(random: np.random.Generator, k: int) -> np.ndarray:
+    """Return odometry of a robot that drives at about 0.1 m/s, with other bits in each number."""
+    numbers = 1e-3 * random.normal(size=13)
+    numbers[[0, 6, 7]] += 0.01 * k, 1.0, 0.1
+    numbers[3:7] /= np.linalg.norm(numbers[3:7])
+    return numbers
+
+
 def write_drives(folder: Path, lengths=((1005, 1), (9, 2), (7, 4)), camera: bool = True) -> Path:
     """Write a bag as a recorder does: odometry between the scans, episodes that end by (scans, outcome)."""
     make, random, t = MessageMaker(), np.random.default_rng(0), 10**15
@@ -47,13 +55,13 @@ def write_drives(folder: Path, lengths=((1005, 1), (9, 2), (7, 4)), camera: bool
             bag.add_topic(make.topic(name, kind))
         bag.set_custom_data("digest.task", "0123")
         bag.set_custom_data("parameters./sim_bridge", json.dumps({"task": "mine.yaml"}))
-        bag.write("/goal_pose", make.goal(t, random.normal(size=7)), t)
+        bag.write("/goal_pose", make.goal(t, somewhere(random, 100)[:7]), t)
         for number, (length, outcome) in enumerate(lengths):
             bag.write("/episode", make.episode(t, number, 0), t)
             for k in range(length + 3):  # the robot goes on for a while after its outcome
                 ended = outcome if k >= length else 0
                 for part in range(3):
-                    bag.write("/odom", make.odometry(t, random.normal(size=13)), t + part)
+                    bag.write("/odom", make.odometry(t, somewhere(random, k)), t + part)
                     bag.write("/reward", make.reward(t, float(random.normal()), ended), t + part)
                 if k == length:
                     bag.write("/episode", make.episode(t, number, outcome), t + 4)

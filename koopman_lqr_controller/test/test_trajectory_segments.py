@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from koopman_lqr_controller.data.trajectory_segments import split
 from recorded import KINDS, STEP, Bag
 
+from ctrl_rl_bags import BagError
 from koopman_lqr_controller import CorridorObservables, KoopmanError, TrajectorySegment, load_segments, to_snapshots
 
 OBSERVABLES = CorridorObservables()
@@ -52,11 +53,11 @@ def test_what_follows_an_outcome_is_left_out(tmp_path: Path) -> None:
 def test_says_which_topic_is_missing_and_when_nothing_is_usable(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", without("/odom", "/episode")) as bag:
         bag.writer.flush()
-    with pytest.raises(KoopmanError, match=r"no topic /odom; it has /cmd_vel, /scan"):
+    with pytest.raises(BagError, match=r"no topic /odom \(nav_msgs/msg/Odometry\); it has /cmd_vel, /scan"):
         load_segments(tmp_path / "a", SEE)
     with Bag(tmp_path / "b", without("/episode")) as bag:
         bag.drive(range(1))
-    with pytest.raises(KoopmanError, match="was the robot driven"):
+    with pytest.raises(BagError, match="no two usable scans"):
         load_segments(tmp_path / "b", SEE)
     with Bag(tmp_path / "c", without("/episode")) as bag:
         bag.drive(range(5), distance=np.nan)

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 from ctrl_rl_bags.datasets.conversion import read_dataset
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import Frames, ScanLayout
+from ctrl_rl_bags.datasets.frames import Frames, ScanLayout, whole_episodes
 from ctrl_rl_bags.datasets.messages import (
     EPISODE_TYPE,
     GOAL_TYPE,
@@ -118,7 +118,7 @@ def original(bag: Path) -> Iterator[Frames]:
 def check_same(ours: Iterator[Frames], theirs: Iterator[Frames]) -> int:
     """Compare two streams of frames episode by episode, and return the number of arrays."""
     count = 0
-    for one, other in zip(whole(ours), whole(theirs), strict=True):
+    for (_, one), (_, other) in zip(whole_episodes(ours), whole_episodes(theirs), strict=True):
         for name, values in one.items():
             if (values.dtype, values.shape, values.tobytes()) != (
                 other[name].dtype,
@@ -128,16 +128,6 @@ def check_same(ours: Iterator[Frames], theirs: Iterator[Frames]) -> int:
                 raise SystemExit(f"bag_export: {name} differs")
             count += 1
     return count
-
-
-def whole(frames: Iterator[Frames]) -> Iterator[dict[str, Any]]:
-    """Yield the arrays of each episode."""
-    parts: list[Frames] = []
-    for piece in frames:
-        parts.append(piece)
-        if piece.last:
-            yield {name: np.concatenate([part.columns[name] for part in parts]) for name in piece.columns}
-            parts = []
 
 
 def write_hour(folder: Path) -> None:

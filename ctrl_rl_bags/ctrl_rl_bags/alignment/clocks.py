@@ -1,32 +1,58 @@
-"""The topics of a bag on one clock, apart for each run of that clock."""
+"""The topics of a bag on one clock, apart for each run of that clock.
+
+A message has two times: the stamp in its header, and the log time at which the recorder received it. Stamps say when
+something was measured; log times are the witness that the stamps of all topics come from one clock.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.alignment.extractors import EXTRACTORS, Extractor
 from ctrl_rl_bags.alignment.resampling import TimeSeries
-from ctrl_rl_bags.format.checks import BagError, fields_of
+from ctrl_rl_bags.format.checks import BagError, fields_of, printable
 from ctrl_rl_bags.format.reader import Bag
+from ctrl_rl_core import CtrlRlError
 
 Clock = Literal["header", "log"]
+Topics = Sequence[str] | Mapping[str, Extractor]
+Tell = Callable[[str], object]
+"""Takes a line about what was left out of a bag."""
 
 _RESET_NS = 500_000_000
 """Stamps of one topic that fall back by more than this: the clock was set back, a simulation was reset.
 
 Several nodes may publish on one topic, and each stamps with the time of its own input: such stamps fall by less."""
-_SAME_CLOCK_NS = 1_000_000_000
-"""Stamps and log times closer than this are of one clock."""
+_RESET_APART_NS = 2_000_000_000
+"""Log times within which topics show the same reset."""
+_LATE_S = 0.5
+"""Stamps of two topics that differ by more at the same log time are of two clocks; no robot's messages take so long."""
+_OTHERS = 0.1
+"""Share of a topic's messages that must differ so."""
+_FEWEST = 3
+_BEGUN_NS = 10_000_000_000
+"""A time of 0 beside times beyond this one is no time: the sender had no clock yet."""
+_ADVICE = "--clock log (clock='log') goes by the times of reception"
 
 
-Topics = Sequence[str] | Mapping[str, Extractor]
+class BagWarning(UserWarning):
+    """Part of a bag is left out, or read otherwise than it says."""
 
 
-def clock_runs(bag: Bag, topics: Topics, reference: str | None, clock: Clock) -> list[dict[str, TimeSeries]]:
+def warn(line: str) -> None:
+    """Tell a line as a Python warning."""
+    warnings.warn(line, BagWarning, stacklevel=4)
+
+
+def clock_runs(
+    bag: Bag, topics: Topics, reference: str | None, clock: Clock, tell: Tell = warn, *, paced: bool = False
+) -> list[dict[str, TimeSeries]]:
     """Return the topics of a bag on one clock, one mapping for each run between two resets of it.
 
     Args:
@@ -34,44 +60,54 @@ def clock_runs(bag: Bag, topics: Topics, reference: str | None, clock: Clock) ->
         topics: Names of topics, or names with their extractors.
         reference: Topic whose stamps are the clock where it has any.
         clock: `header` for the messages' stamps, `log` for the times of reception.
+        tell: Takes lines about messages that are left out.
+        paced: Whether the times of reception are brought onto the reference's clock: a second of a slow simulation is
+            a second of the robot, however long the computer took.
 
     Raises:
-        BagError: The bag is damaged, or the clock of a topic was set back more or less often than the reference's.
+        BagError: The bag is damaged, or the stamps of its topics are of different clocks.
     """
-    read = _read(bag, topics)
+    read = _read(bag, topics, tell)
     stamped = {topic: series for topic, series in read.items() if series.stamps is not None and len(series.times)}
-    if clock == "log" or not stamped:
+    name = reference if reference in stamped else next(iter(stamped), None)
+    if name is None or (clock == "log" and not (paced and reference in stamped)):
         return [{topic: series.at(np.arange(len(series.times)), series.times) for topic, series in read.items()}]
-    base = stamped.get(reference or "") or next(iter(stamped.values()))
+    base = stamped[name]
     assert base.stamps is not None
     cuts = _resets(base.stamps)
-    base_rows = np.split(np.arange(len(base.times)), cuts)
-    one_clock = abs(float(np.median(base.times - base.stamps))) < _SAME_CLOCK_NS
-    runs: list[dict[str, TimeSeries]] = [{} for _ in base_rows]
+    bases = [base.some(rows) for rows in np.split(np.arange(len(base.times)), cuts)]
+    runs: list[dict[str, TimeSeries]] = [{} for _ in bases]
+    late: dict[str, list[NDArray[np.float64]]] = {}
     for topic, series in read.items():
-        own = np.searchsorted(series.times, base.times[cuts]) if series.stamps is None else _resets(series.stamps)
-        if len(own) != len(cuts):
+        by_stamp = series.stamps is not None and (clock == "header" or topic == name)
+        own = _same_resets(series, base.times[cuts])
+        if by_stamp and own is None:
             raise BagError(
-                f"{bag.path}: the clock of {topic} was set back {len(own)} times, that of the reference "
-                f"{len(cuts)} times: align by clock='log'"
+                f"{bag.path}: the clock of {printable(topic)} is set back where that of {printable(name)} is not: "
+                f"{_ADVICE}"
             )
-        for run, rows, base_run in zip(runs, np.split(np.arange(len(series.times)), own), base_rows, strict=True):
-            if series.stamps is not None:
-                times = series.stamps[rows]
-            elif one_clock:
-                times = series.times[rows]
+        own = np.searchsorted(series.times, base.times[cuts]) if own is None or not by_stamp else own
+        for run, each, known in zip(runs, np.split(np.arange(len(series.times)), own), bases, strict=True):
+            received = _to_clock(series.times[each], known)
+            if by_stamp and series.stamps is not None:
+                stamps = series.stamps[each]
+                late.setdefault(topic, []).append(
+                    np.asarray((stamps - received) * 1e-9, dtype=np.float64) / max(1.0, _pace(known))
+                )
+                run[topic] = series.at(each, stamps)
             else:
-                times = _to_clock(series.times[rows], base.times[base_run], base.stamps[base_run])
-            run[topic] = series.at(rows, times)
+                run[topic] = series.at(each, received)
+    _check_one_clock(bag, {topic: np.concatenate(parts) for topic, parts in late.items()}, name, base)
     return runs
 
 
-def _read(bag: Bag, topics: Topics) -> dict[str, TimeSeries]:
-    """Read topics into series over log time."""
+def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
+    """Read topics into series over log time; messages without a time are left out."""
     extractors: dict[str, Extractor] = dict(topics) if isinstance(topics, Mapping) else {}
     log: dict[str, list[int]] = {topic: [] for topic in topics}
     stamps: dict[str, list[int]] = {topic: [] for topic in topics}
-    values: dict[str, list[Any]] = {topic: [] for topic in topics}
+    values: dict[str, list[object]] = {topic: [] for topic in topics}
+    refused: dict[str, list[str]] = {}
     for message in bag.decoded(topics):
         topic = message.topic
         if topic not in extractors:
@@ -80,30 +116,128 @@ def _read(bag: Bag, topics: Topics) -> dict[str, TimeSeries]:
                     f"{bag.path}: no extractor for {topic} ({message.type}): give one as topics={{name: Extractor}}"
                 )
             extractors[topic] = EXTRACTORS[message.type]
-        log[topic].append(message.log_time)
         with fields_of(f"{bag.path}: a message of {topic}"):
-            header = getattr(message.data, "header", None)
+            header = getattr(message.data, "header", None) if extractors[topic].stamped else None
+            try:
+                values[topic].append(extractors[topic].read(message.data))
+            except CtrlRlError as error:
+                refused.setdefault(topic, []).append(str(error))
+                continue
+            log[topic].append(message.log_time)
             if header is not None:
                 stamps[topic].append(header.stamp.sec * 10**9 + header.stamp.nanosec)
-            values[topic].append(extractors[topic].read(message.data))
+    for topic, reasons in refused.items():
+        where, count = f"{bag.path}: {printable(topic)}", len(values[topic])
+        if not count:
+            raise BagError(f"{where}: {reasons[0]}")
+        tell(f"{where}: {len(reasons)} of {len(reasons) + count} messages are left out: {reasons[0]}")
     out = {}
     for topic in topics:
         extractor = extractors.get(topic, Extractor(tuple))
-        times = np.array(log[topic], dtype=np.int64)
-        own = np.array(stamps[topic], dtype=np.int64) if stamps[topic] else None
-        out[topic] = TimeSeries(times, extractor.array(values[topic]), extractor.angles, own)
+        out[topic] = TimeSeries(
+            np.array(log[topic], dtype=np.int64),
+            extractor.array(values[topic]),
+            extractor.angles,
+            np.array(stamps[topic], dtype=np.int64) if stamps[topic] else None,
+            extractor.jumps,
+        )
+    return _timed(bag, out, tell)
+
+
+def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
+    """Leave out messages that were received or stamped before their clock had begun."""
+    received = np.concatenate([series.times for series in read.values()] or [np.empty(0, np.int64)])
+    begun = received[received > 0].min(initial=0) > _BEGUN_NS
+    out = {}
+    for topic, series in read.items():
+        where = f"{bag.path}: {printable(topic)}"
+        kept = (series.times > 0) | (not begun)
+        if not kept.all():
+            tell(f"{where}: {(~kept).sum()} messages were received at time 0 and are left out")
+        stamps = series.stamps
+        if stamps is not None and len(stamps):
+            if (stamps == 0).all() and len(stamps) >= min(_FEWEST, len(series.times)) and received.max() > _BEGUN_NS:
+                if len(stamps) > 1:
+                    tell(f"{where}: its stamps are 0: the times of reception count")
+                series, stamps = replace(series, stamps=None), None
+            elif (without := (stamps == 0) & kept).any() and stamps[stamps > 0].min() > _BEGUN_NS:
+                tell(f"{where}: {without.sum()} messages are stamped 0 and are left out")
+                kept &= ~without
+        rows = np.flatnonzero(kept)
+        rows = rows[np.argsort(series.times[rows], kind="stable")]
+        out[topic] = series.some(rows)
     return out
+
+
+def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: str, base: TimeSeries) -> None:
+    """Refuse topics whose stamps are of different clocks, and name the one that is off.
+
+    Args:
+        bag: Bag of the topics.
+        late: By how much each topic's stamps exceed the reference's at the time of reception [s].
+        name: The reference.
+        base: Its messages.
+
+    Raises:
+        BagError: Two clocks differ.
+    """
+    of_others = {topic: each for topic, each in late.items() if topic != name and len(each) >= _FEWEST}
+    wrong = {topic: each for topic, each in of_others.items() if (np.abs(each) > _LATE_S).mean() > _OTHERS}
+    if not wrong:
+        return
+    middles = {topic: float(np.median(each[np.abs(each) > _LATE_S])) for topic, each in wrong.items()}
+    topic, off = max(middles.items(), key=lambda each: abs(each[1]))
+    other = name
+    alike = all(abs(each - off) < _LATE_S for each in middles.values())
+    assert base.stamps is not None
+    base_late = abs(float(np.median(base.times - base.stamps))) * 1e-9
+    # All others agree against the reference: it is the reference that is off. Of two, the recorder agrees with one.
+    if len(of_others) == len(wrong) and alike and (len(wrong) > 1 or abs(base_late - abs(off)) < base_late / 2.0):
+        topic, other, off = name, topic, -off
+    raise BagError(
+        f"{bag.path}: two clocks: {printable(topic)} is stamped {_span(abs(off))} {'ahead of' if off > 0 else 'behind'}"
+        f" {printable(other)}, by when both were received; {_ADVICE}"
+    )
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 3600.0 else f"{seconds / 86400.0:.1f} days"
 
 
 def _resets(stamps: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(stamps) < -_RESET_NS) + 1
 
 
-def _to_clock(log: NDArray[np.int64], known: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Bring log times onto the clock of a stamped topic, given that topic's log times and stamps."""
-    x, at, value = ((times - origin).astype(np.float64) for times, origin in
-                    ((log, known[0]), (known, known[0]), (stamps, stamps[0])))  # fmt: skip
+def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
+    """Return the rows at which a series shows the resets of another at these log times; None where it has more."""
+    rows = np.searchsorted(series.times, resets)
+    own = _resets(series.stamps) if series.stamps is not None else np.empty(0, np.intp)
+    if not len(own):
+        return rows
+    if not len(resets):
+        return None
+    nearest = np.abs(series.times[own][:, None] - resets).argmin(axis=1)
+    if (np.abs(series.times[own] - resets[nearest]) > _RESET_APART_NS).any():
+        return None
+    rows[nearest] = own
+    return rows
+
+
+def _pace(known: TimeSeries) -> float:
+    """Return how fast the clock of a stamped series runs, in seconds of it a second of reception."""
+    assert known.stamps is not None
+    if len(known.times) < 2 or known.times[-1] <= known.times[0]:
+        return 1.0
+    return float((known.stamps[-1] - known.stamps[0]) / (known.times[-1] - known.times[0])) or 1.0
+
+
+def _to_clock(log: NDArray[np.int64], known: TimeSeries) -> NDArray[np.int64]:
+    """Bring log times onto the clock of a stamped series."""
+    assert known.stamps is not None
+    if not len(known.times) or not len(log):
+        return log
+    origin, first = known.times[0], known.stamps[0]
+    x, at, value = ((each).astype(np.float64) for each in (log - origin, known.times - origin, known.stamps - first))
     # Beyond the ends, the clock goes on at its mean pace; held still, it would let the future into the last row.
-    pace = value[-1] / at[-1] if at[-1] > 0.0 else 1.0
-    out = np.interp(x, at, value) + pace * (np.minimum(x, 0.0) + np.maximum(x - at[-1], 0.0))
-    return stamps[0] + np.round(out).astype(np.int64)
+    out = np.interp(x, at, value) + _pace(known) * (np.minimum(x, 0.0) + np.maximum(x - at[-1], 0.0))
+    return first + np.round(out).astype(np.int64)

@@ -7,19 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.odometry import yaw_of
 from numpy.typing import NDArray
 
+from ctrl_rl_bags.alignment.jumps import odometry_jumps
+from ctrl_rl_core import OdometryReader, Scan, read_odometry, read_scan
 
-@dataclass(frozen=True)
-class Scan:
-    """One LaserScan: ranges (n,) [m], bearing of the first and step between them [rad], limits [m] (REP-117)."""
-
-    ranges: NDArray[np.float32]
-    angle_min: float
-    angle_increment: float
-    range_min: float
-    range_max: float
+_STATE = OdometryReader(("x", "y", "theta", "v", "omega"))
 
 
 @dataclass(frozen=True)
@@ -27,14 +20,20 @@ class Extractor:
     """Turns a message into a row of numbers, or into one object.
 
     Attributes:
-        read: Function from a message to a row of numbers, or to any object where `columns` is empty.
+        read: Function from a message to a row of numbers, or to any object where `columns` is empty; it raises
+            CtrlRlError for a message that must not be used.
         columns: Names of the numbers.
         angles: Indices of the columns that are angles [rad] and wrap at pi.
+        jumps: Function of times (n,) [ns] and rows (n, columns) that returns the rows before which the robot did not
+            drive but was put elsewhere; no sequence reaches across. None where nothing can jump.
+        stamped: Whether the stamp of a message is its time, where it has one; otherwise that of its reception is.
     """
 
     read: Callable[[Any], Any]
     columns: tuple[str, ...] = ()
     angles: tuple[int, ...] = ()
+    jumps: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.intp]] | None = None
+    stamped: bool = True
 
     def array(self, rows: list[Any]) -> NDArray[Any]:
         """Return rows (n) as an array (n, columns) of float64, or (n,) of objects."""
@@ -46,18 +45,13 @@ class Extractor:
 
 
 def _scan(message: Any) -> Scan:
-    return Scan(
-        np.array(message.ranges, dtype=np.float32),
-        float(message.angle_min),
-        float(message.angle_increment),
-        float(message.range_min),
-        float(message.range_max),
-    )
+    scan = read_scan(message)
+    scan.geometry.check()
+    return Scan(scan.ranges.copy(), scan.geometry)
 
 
 def _odometry(message: Any) -> tuple[float, ...]:
-    pose, twist = message.pose.pose, message.twist.twist
-    return pose.position.x, pose.position.y, yaw_of(pose.orientation), twist.linear.x, twist.angular.z
+    return tuple(_STATE(read_odometry(message)).tolist())
 
 
 def _twist(message: Any) -> tuple[float, float]:
@@ -65,7 +59,12 @@ def _twist(message: Any) -> tuple[float, float]:
 
 
 LASER_SCAN = Extractor(_scan)
-ODOMETRY = Extractor(_odometry, ("x", "y", "yaw", "v", "omega"), angles=(2,))
+ODOMETRY = Extractor(
+    _odometry,
+    ("x", "y", "yaw", "v", "omega"),
+    angles=(2,),
+    jumps=lambda times, rows: odometry_jumps(times, rows[:, :2], rows[:, 2], rows[:, 3:]),
+)
 TWIST = Extractor(_twist, ("v", "omega"))
 TWIST_STAMPED = Extractor(lambda message: _twist(message.twist), ("v", "omega"))
 EXTRACTORS: Mapping[str, Extractor] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,17 +23,38 @@ class TimeSeries:
         values: Numbers (n, columns), or objects (n,).
         angles: Indices of the columns that are angles and wrap at pi.
         stamps: Times in the messages' headers (n,) [ns]; None without headers.
+        jumps: As in `Extractor`.
+        log: Log times (n,) [ns], where `times` are others.
     """
 
     times: NDArray[np.int64]
     values: NDArray[Any]
     angles: tuple[int, ...] = ()
     stamps: NDArray[np.int64] | None = None
+    jumps: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.intp]] | None = None
+    log: NDArray[np.int64] | None = None
+
+    def some(self, rows: NDArray[np.intp]) -> TimeSeries:
+        """Return some rows, in their order."""
+        stamps = None if self.stamps is None else self.stamps[rows]
+        return TimeSeries(self.times[rows], self.values[rows], self.angles, stamps, self.jumps)
 
     def at(self, rows: NDArray[np.intp], times: NDArray[np.int64]) -> TimeSeries:
         """Return some rows with other times, in the order of these times."""
         order = np.argsort(times, kind="stable")
-        return TimeSeries(times[order], self.values[rows][order], self.angles)
+        stamps = None if self.stamps is None else self.stamps[rows][order]
+        return TimeSeries(
+            times[order], self.values[rows][order], self.angles, stamps, self.jumps, self.times[rows][order]
+        )
+
+    def across(self, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return whether a jump lies between each beginning and end (m,) [ns]."""
+        if self.jumps is None:
+            return np.zeros(len(begins), dtype=np.bool_)
+        after = self.jumps(self.times, self.values)
+        # Between the samples before and after a jump, nobody knows when it was.
+        left, right = self.times[after - 1], self.times[after]
+        return np.asarray(np.searchsorted(left, ends) > np.searchsorted(right, begins, side="right"), dtype=np.bool_)
 
 
 def resample(

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
-from ctrl_rl_core.command import FolderToWrite, at_least
+from ctrl_rl_core.command import FolderToWrite, checked, finite_number
 from tqdm import tqdm
 
 from ctrl_rl_bags.datasets.conversion import Converted, count_messages, export_bags, import_dataset
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions
+from ctrl_rl_bags.datasets.options import DriveOptions, print_note
+
+
+def _period(text: str) -> float:
+    value = finite_number(text)
+    if value <= 0.0:
+        raise ValueError(f"'{text}' must be above 0")
+    return value
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
+class Export(DriveOptions):
     """Write the drives of bags as a dataset of LeRobot (version 3) or Minari."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
@@ -26,14 +33,12 @@ class Export:
     """Library that is to read the dataset."""
     output: Annotated[FolderToWrite, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, which must not exist."""
-    robot: str = ""
-    """Namespace of the topics."""
     image: str = "camera/image_raw"
     """Topic of the camera's pictures (sensor_msgs/Image); without such a topic there are none."""
     task: str = ""
     """Name of the task (default: what the bag's parameters say)."""
-    beams: at_least(1) | None = None  # type: ignore[valid-type]
-    """Number of beams that all scans are brought to, for lidars whose scans differ (default: as they are)."""
+    period: Annotated[float | None, checked(_period, "NUMBER")] = None
+    """Time from frame to frame [s] (default: a frame for each scan)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,13 +56,14 @@ class Import:
 def run_export(options: Export) -> int:
     """Do what `bag export` is asked to and return the exit code."""
     began = time.monotonic()
-    how = ExtractionOptions(options.robot, options.image, options.task, options.beams)
+    how = options.extraction(image=options.image, task=options.task, period=options.period)
     with tqdm(total=count_messages(options.runs), desc="export", unit="message", disable=None) as bar:
         found = export_bags(options.runs, options.output, options.format, how, bar.update)
-    for reason in found.missing:
-        print(f"bag export: {reason}", file=sys.stderr)
-    if found.left_out:
-        print(f"bag export: {found.left_out} scans are in no frame: no odometry or command with them", file=sys.stderr)
+    left_out = f"{found.left_out} scans are in no frame: no odometry or command with them"
+    for line in (*found.missing, *([left_out] if found.left_out else [])):
+        print_note("bag export", line)
+    if (delay := float(np.nanmedian(found.delays))) >= 0.0:
+        print(f"commands come {delay:.3f} s after their scan")
     _report(found, options.output, began)
     return 0
 

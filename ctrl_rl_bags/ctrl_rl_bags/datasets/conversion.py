@@ -28,13 +28,17 @@ _MOST_SOURCES = 10_000
 
 
 class Converted(NamedTuple):
-    """What was written: episodes, frames, bytes of messages read, scans in no frame, and what the bags lack."""
+    """What was written: episodes, frames, bytes of messages read, scans in no frame, and what the bags lack.
+
+    What they lack includes what was left out, with the reason. Delays are those from scans to commands, of each bag.
+    """
 
     episodes: int
     frames: int
     bytes: int
     left_out: int
     missing: tuple[str, ...]
+    delays: Sequence[float] = ()
 
 
 def export_bags(
@@ -68,13 +72,13 @@ def export_bags(
                 episodes += frames.last
                 frames_written += len(frames)
             if not episodes:
-                raise DatasetError(
-                    f"{bags[0]}: no two scans with odometry and a command between: was the robot driven?"
-                )
+                raise DatasetError(f"{bags[0]}: {found.why_nothing}")
             writer.close([str(run.name)[:_LONGEST_NAME] or "bag" for run in runs])
         finally:
             writer.abort()
-    return Converted(episodes, frames_written, found.bytes, found.left_out, tuple(sorted(found.missing)))
+    return Converted(
+        episodes, frames_written, found.bytes, found.left_out, (*sorted(found.missing), *found.notes), found.delays
+    )
 
 
 def import_dataset(folder: Path, output: Path, robot: str = "") -> Converted:

@@ -95,17 +95,11 @@ class EpisodeFrames:
         self._steps.append(step)
         self._count += 1
         if len(self._steps) > self._piece + 1:
-            # The last transition stays here: its outcome may come after its last scan.
+            # The last two scans stay: the end of the episode is not known yet.
             kept = self._steps[-2:], self._done[-1:]
             self._steps, self._done = self._steps[:-1], self._done[:-1]
             yield self._frames(last=False)
             self._steps, self._done = kept
-
-    def mark(self, outcome: int) -> None:
-        """Give the last transition the outcome that became known after its scan; 0 changes nothing."""
-        if self._done and outcome:
-            command, reward, _ = self._done[-1]
-            self._done[-1] = (command, reward, outcome)
 
     def end(self) -> Iterator[Frames]:
         """End the episode; yield what is left of it, nothing of one without a transition."""

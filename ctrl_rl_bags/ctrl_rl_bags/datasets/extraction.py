@@ -1,38 +1,30 @@
-"""Frames from bags, as a stream: a bag of any length takes the memory of a thousand frames."""
+"""Frames from bags, as a stream: a bag of any length takes the memory of a thousand frames and a row a scan."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanError
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.datasets.episodes import EpisodeFrames, Step
 from ctrl_rl_bags.datasets.frames import CommandType, Frames, ImageLayout, Layout
-from ctrl_rl_bags.datasets.readings import (
-    ScanColumn,
-    no_goal,
-    read_command,
-    read_goal,
-    read_image,
-    read_odometry,
-    stamp_of,
-)
+from ctrl_rl_bags.datasets.readings import ScanColumn, read_image, stamp_of
+from ctrl_rl_bags.datasets.timeline import Timeline, read_timeline
 from ctrl_rl_bags.datasets.wiring import ExtractionOptions, find_task, find_topics
 from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of, printable
 from ctrl_rl_bags.format.reader import Bag, open_bag
 from ctrl_rl_bags.format.topics import SerializedMessage
+from ctrl_rl_core import ScanError
 
-_OLDEST_NS = 10**9
-"""Commands and odometry older than this do not count: a base stops without them."""
 _PERIODS = 200
 """Scans that the period of a dataset is taken from."""
+_MOST_NOTES = 100
+_TOLD = 1000
+"""Scans after which progress is told."""
 
 
 @dataclass
@@ -42,12 +34,27 @@ class Found:
     Attributes:
         missing: Topics that the bags lack, with what is missing for that.
         left_out: Scans that are in no frame.
+        notes: Lines about messages that were left out, and about drives that were cut.
+        delays: Median time from a scan to the command that follows it, of each bag [s].
         bytes: Size of the messages read.
     """
 
     missing: set[str] = field(default_factory=set)
     left_out: int = 0
+    notes: list[str] = field(default_factory=list)
+    delays: list[float] = field(default_factory=list)
     bytes: int = 0
+
+    def note(self, line: str) -> None:
+        """Keep a line."""
+        if len(self.notes) < _MOST_NOTES and line not in self.notes:
+            self.notes.append(line)
+
+    @property
+    def why_nothing(self) -> str:
+        """Why bags may hold no drive: the end of an error."""
+        told = f" ({self.notes[0]})" if self.notes else ""
+        return f"no two scans with odometry and a command between: was the robot driven?{told}"
 
 
 def find_layout(bag: Path | str, options: ExtractionOptions) -> Layout:
@@ -59,24 +66,30 @@ def find_layout(bag: Path | str, options: ExtractionOptions) -> Layout:
     with open_bag(bag) as opened:
         wiring = find_topics(opened, options)
         types = opened.types(wiring.topics.values())
-        scans, stamps, image = ScanColumn(options.beams), list[int](), None
+        scans, image, refused = ScanColumn(options.beams), None, ""
+        stamps, received = list[int](), list[int]()
         wanted = [wiring.topics[name] for name in ("scan", "image") if name in wiring.topics]
         for message in opened.messages(wanted):
-            with fields_of(f"{bag}: a message of {message.topic}"):
+            with fields_of(f"{bag}: a message of {printable(message.topic)}"):
                 data = _decode(types, message, opened)
                 if message.topic == wiring.topics.get("image"):
                     if image is None:
                         height, width, _ = read_image(data, None, f"{bag}: the first picture").shape
                         image = ImageLayout(height=height, width=width)
                 else:
-                    with suppress(ScanError):
+                    try:
                         scans.read(data, f"{bag}: a scan")
-                        stamps.append(message.log_time)
+                    except ScanError as error:
+                        refused = refused or f": {error}"
+                    else:
+                        stamps.append(stamp_of(data))
+                        received.append(message.log_time)
             if len(stamps) > _PERIODS and (image is not None or "image" not in wiring.topics):
                 break
         if scans.layout is None or len(stamps) < 2:
-            raise BagError(f"{bag}: {wiring.topics['scan']} has no two usable scans")
+            raise BagError(f"{bag}: {printable(wiring.topics['scan'])} has no two usable scans{refused}")
         digests = {key: printable(text) for key, text in opened.info.custom_data.items() if key.startswith("digest.")}
+        times = stamps if np.median(np.diff(stamps)) > 0.0 else received
         return Layout(
             command=cast(CommandType, wiring.command),
             command_topic=wiring.command_topic,
@@ -85,7 +98,7 @@ def find_layout(bag: Path | str, options: ExtractionOptions) -> Layout:
             goal="goal_pose" in wiring.topics,
             reward="reward" in wiring.topics,
             task=printable(options.task or opened.info.custom_data.get("task", "") or find_task(opened)),
-            period=max(float(np.median(np.diff(stamps))) * 1e-9, 1e-6),
+            period=options.period or max(float(np.median(np.diff(times))) * 1e-9, 1e-6),
             digests=digests,
         )
 
@@ -99,19 +112,20 @@ def extract(
 ) -> Iterator[Frames]:
     """Yield the frames of bags, a piece of an episode at a time.
 
-    A frame is a scan with the last odometry, goal and picture received before it. Its action is the last command
-    received before the next scan; `next.reward` and `next.outcome` are the last received before that scan. An episode
-    ends at an outcome, where the episode's number changes, and where scans, odometry or commands pause for a second.
+    A frame is a scan with odometry, goal and picture at its time. Its action is the command that acted until the next
+    frame; `next.reward` and `next.outcome` are those at that one. Times are the messages' stamps, those of reception
+    where there are none (`ctrl_rl_bags.alignment`). An episode ends at an outcome, where its number changes, where
+    the odometry jumps, the clock is set back, and where scans, odometry or commands pause for a second.
 
     Args:
         bags: Bags in the order of the episodes.
         layout: Layout of the dataset, from `find_layout`.
-        options: Names of the topics, and beams of the scans.
+        options: Names of the topics, beams of the scans, clock, and length of the steps.
         found: Filled in with what was missing.
         tell: Told the number of messages read since the last call.
 
     Raises:
-        BagError: A bag cannot be read, or does not fit the layout.
+        BagError: A bag cannot be read, does not fit the layout, or its topics have different clocks.
     """
     episode = 0
     for source, bag in enumerate(bags):
@@ -127,7 +141,7 @@ class _Extraction:
     def __init__(
         self, bag: Bag, layout: Layout, options: ExtractionOptions, found: Found, tell: Callable[[int], object]
     ) -> None:
-        self._bag, self._layout, self._found, self._tell = bag, layout, found, tell
+        self._bag, self._layout, self._options, self._found, self._tell = bag, layout, options, found, tell
         self._wiring = find_topics(bag, options)
         if self._wiring.command != layout.command:
             raise BagError(f"{bag.path}: its commands are {self._wiring.command}, those before {layout.command}")
@@ -136,96 +150,80 @@ class _Extraction:
                 found.missing.add(f"no {options.topic(name)}: no {what}s")
         self._types = bag.types(self._wiring.topics.values())
         self._scans = ScanColumn(options.beams, layout.scan)
-        self._latest: dict[str, SerializedMessage] = {}
-        self._episode: tuple[int, int] = (0, 0)
 
     def frames(self) -> Iterator[Frames]:
         """Yield the frames of the bag."""
-        names = {topic: name for name, topic in self._wiring.topics.items()}
-        current, count = EpisodeFrames(self._layout), 0
-        for message in self._bag.messages(names):
-            self._found.bytes += len(message.data)
-            count += 1
-            if count == 1000:
+        found, bag = self._found, self._bag
+        pictures = self._layout.image is not None
+        if pictures and "image" not in self._wiring.topics:
+            raise BagError(f"{bag.path}: it has no pictures, the first bag has")
+        before = bag.bytes_read
+        read = read_timeline(bag, self._wiring, self._options, pictures, found.note)
+        found.bytes += bag.bytes_read - before
+        self._tell(sum(bag.info.topics[topic].message_count for topic in self._wiring.topics.values()) - read.scans)
+        found.left_out += read.left_out
+        found.delays.append(read.delay)
+        if read.beams[0] != read.beams[1]:
+            found.note(
+                f"{bag.path}: its scans have {read.beams[0]} to {read.beams[1]} beams: all are brought to "
+                f"{self._layout.scan.beams}"
+            )
+        if not read.parts:
+            return
+        yield from self._with_scans(Timeline.joined(read.parts))
+
+    def _with_scans(self, timeline: Timeline) -> Iterator[Frames]:
+        """Yield frames of a timeline, whose scans are read one after the other."""
+        current, row, count = EpisodeFrames(self._layout), 0, 0
+        picture: tuple[int, NDArray[np.uint8] | None] = (0, None)
+        scan, image = self._wiring.topics["scan"], self._wiring.topics.get("image", "")
+        wanted = set(timeline.pictures.tolist())
+        for message in self._bag.messages([scan, image] if self._layout.image is not None else [scan]):
+            count += message.topic == scan
+            if count == _TOLD:
                 self._tell(count)
                 count = 0
-            name = names[message.topic]
-            if name == "episode":
-                yield from self._take_episode(message, current)
-            elif name != "scan":
-                self._latest[name] = message
-            else:
-                yield from self._take_scan(message, current)
-        current.mark(self._episode[1])
+            if message.topic == image:
+                if message.log_time in wanted:
+                    picture = message.log_time, self._read(message, self._picture)
+                continue
+            if row == len(timeline) or message.log_time != timeline.log[row]:
+                continue
+            stamp, ranges = self._read(message, self._scan)
+            if stamp != timeline.stamps[row]:
+                continue
+            if timeline.begins[row]:
+                yield from current.end()
+            yield from current.add(_step(timeline, row, ranges, picture[1]))
+            row += 1
         yield from current.end()
-        self._found.left_out += current.left_out
         self._tell(count)
+        if row < len(timeline):
+            raise BagError(f"{self._bag.path}: its scans are not in the order of their stamps: --clock log")
 
-    def _take_episode(self, message: SerializedMessage, current: EpisodeFrames) -> Iterator[Frames]:
-        status = self._read(message, lambda data: (int(data.episode), int(data.outcome.value)))
-        if status[0] != self._episode[0]:
-            current.mark(self._episode[1])
-            yield from current.end()
-            for name in ("command", "reward"):
-                self._latest.pop(name, None)
-        self._episode = status
+    def _picture(self, data: Any) -> NDArray[np.uint8]:
+        return read_image(data, self._layout.image, f"{self._bag.path}: a picture")
 
-    def _take_scan(self, message: SerializedMessage, current: EpisodeFrames) -> Iterator[Frames]:
-        step = self._step(message)
-        if step is None or (current.time is not None and not 0 < message.log_time - current.time < _OLDEST_NS):
-            yield from current.end()
-        if step is None or (step.outcome and not len(current)):  # unusable, or the episode is over
-            self._found.left_out += 1
-            return
-        yield from current.add(step)
-        if step.outcome:
-            yield from current.end()
-
-    def _step(self, message: SerializedMessage) -> Step | None:
-        """Return what is known at a scan; None where scan, odometry or command are unusable or too old."""
-        odometry = self._recent("odom", message.log_time, read_odometry)
-        command = self._recent("command", message.log_time, lambda data: read_command(data, self._layout.command))
-        what = f"{self._bag.path}: a scan"
-        try:
-            stamp, ranges = self._read(message, lambda data: (stamp_of(data), self._scans.read(data, what)))
-        except ScanError:
-            return None
-        if odometry is None:
-            return None
-        goal, image = self._latest.get("goal_pose"), self._latest.get("image")
-        picture = None
-        if self._layout.image is not None:
-            if image is None:
-                return None
-            picture = self._read(image, lambda data: read_image(data, self._layout.image, f"{what}'s picture"))
-        reward, outcome = self._reward()
-        return Step(
-            stamp=stamp,
-            time=message.log_time,
-            scan=ranges,
-            odometry=odometry,
-            goal=no_goal() if goal is None else self._read(goal, read_goal),
-            image=picture,
-            command=command,
-            reward=reward,
-            outcome=self._episode[1] if "episode" in self._wiring.topics else outcome,
-        )
-
-    def _reward(self) -> tuple[float, int]:
-        message = self._latest.get("reward")
-        if message is None:
-            return math.nan, 0
-        return self._read(message, lambda data: (float(data.reward), int(data.outcome.value)))
-
-    def _recent(
-        self, name: str, now: int, read: Callable[[Any], NDArray[np.float64] | None]
-    ) -> NDArray[np.float64] | None:
-        message = self._latest.get(name)
-        return None if message is None or now - message.log_time > _OLDEST_NS else self._read(message, read)
+    def _scan(self, data: Any) -> tuple[int, NDArray[np.float32]]:
+        return stamp_of(data), self._scans.read(data, f"{self._bag.path}: a scan")
 
     def _read(self, message: SerializedMessage, read: Callable[[Any], Any]) -> Any:
         with fields_of(f"{self._bag.path}: a message of {printable(message.topic)}"):
             return read(_decode(self._types, message, self._bag))
+
+
+def _step(timeline: Timeline, row: int, ranges: NDArray[np.float32], picture: NDArray[np.uint8] | None) -> Step:
+    return Step(
+        stamp=int(timeline.stamps[row]),
+        time=int(timeline.log[row]),
+        scan=ranges,
+        odometry=timeline.odometry[row],
+        goal=timeline.goals[row],
+        image=picture,
+        command=None if timeline.begins[row] else timeline.commands[row],
+        reward=float(timeline.rewards[row]),
+        outcome=int(timeline.outcomes[row]),
+    )
 
 
 def _decode(types: Any, message: SerializedMessage, bag: Bag) -> Any:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.driving.scan import MOST_BEAMS
 from ctrl_rl_core.io.schema import Name, Number, Positive, Schema
+from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
+from ctrl_rl_core.sensing.scan import MOST_BEAMS
 from numpy.typing import NDArray
 from pydantic import Field
+
+from ctrl_rl_core import ScanGeometry
 
 CommandType = Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "ctrl_rl_msgs/msg/RotorThrusts"]
 COMMAND_TYPES: Mapping[str, tuple[str, str]] = {
@@ -19,10 +22,6 @@ COMMAND_TYPES: Mapping[str, tuple[str, str]] = {
     "ctrl_rl_msgs/msg/RotorThrusts": ("T_1", "T_2"),
 }
 """Names of the action's components by the type of the command: [m/s], [rad/s], or [N]."""
-ODOMETRY_NAMES = (
-    *("x", "y", "z", "q_x", "q_y", "q_z", "q_w"),
-    *("v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
-)
 GOAL_NAMES = ODOMETRY_NAMES[:7]
 STATE_NAMES = ("x", "y", "theta", "v", "omega")
 SCAN, ODOMETRY, STATE = "observation.scan", "observation.odometry", "observation.state"
@@ -41,6 +40,11 @@ class ScanLayout(Schema):
     range_min: Number
     range_max: Number
     frame: Annotated[str, Field(max_length=200)] = ""
+
+    @property
+    def geometry(self) -> ScanGeometry:
+        """Bearings and limits of the beams."""
+        return ScanGeometry(self.beams, self.angle_min, self.angle_increment, self.range_min, self.range_max)
 
 
 class ImageLayout(Schema):
@@ -140,6 +144,22 @@ class Frames:
 
     def __len__(self) -> int:
         return len(self.columns[STAMP])
+
+
+def whole_episodes(frames: Iterable[Frames]) -> Iterator[tuple[Frames, Mapping[str, NDArray[Any]]]]:
+    """Yield the last frames of each episode, and the columns of all its frames."""
+    parts: list[Frames] = []
+    for piece in frames:
+        parts.append(piece)
+        if piece.last:
+            yield piece, {name: np.concatenate([part.columns[name] for part in parts]) for name in piece.columns}
+            parts = []
+
+
+def times_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+    """Return the times of an episode's frames (n,) [ns]: their stamps, or where these do not rise, when they came."""
+    stamps: NDArray[np.int64] = columns[STAMP]
+    return stamps if (np.diff(stamps) > 0).all() else columns[LOG_TIME]
 
 
 def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -6,7 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.driving.scan import ScanGeometry, nearest_beams
+from ctrl_rl_core.sensing.pose import PoseError
+from ctrl_rl_core.sensing.pose import read_goal as core_read_goal
+from ctrl_rl_core.sensing.scan import ScanGeometry, nearest_beams, read_scan
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.datasets.frames import GOAL_NAMES, ImageLayout, ScanLayout, is_usable
@@ -22,20 +24,14 @@ _COLOURS = {
 }
 """Channels of a picture's encoding, and where red, green and blue are among them."""
 _SAME_ANGLE = 1e-3
-"""Angles of two scans that differ by less are of one lidar [rad]."""
+"""Angles of two scans that differ by less have the same beams [rad]."""
+_SAME_FIELD = 0.1
+"""Fields of view of two scans that differ by less are of one lidar, whose beams vary [rad]."""
 
 
 def stamp_of(message: Any) -> int:
     """Return the time in a message's header [ns]."""
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
-
-
-def read_odometry(message: Any) -> Array | None:
-    """Return pose and twist (13,) as `ODOMETRY_NAMES`; None where they are not finite."""
-    linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-    numbers = np.concatenate((_pose(message.pose.pose), np.array(twist, dtype=np.float64)))
-    return numbers if is_usable(numbers) else None
 
 
 def read_command(message: Any, kind: str) -> Array | None:
@@ -49,9 +45,11 @@ def read_command(message: Any, kind: str) -> Array | None:
 
 
 def read_goal(message: Any) -> Array:
-    """Return position and attitude of a goal (7,); NaN where it is no place."""
-    goal = _pose(message.pose)
-    return goal if is_usable(goal) else no_goal()
+    """Return position and attitude of a goal (7,); NaN where it is no pose."""
+    try:
+        return core_read_goal(message.pose)
+    except PoseError:
+        return no_goal()
 
 
 def no_goal() -> Array:
@@ -78,11 +76,6 @@ def read_image(message: Any, layout: ImageLayout | None, what: str) -> NDArray[n
     return np.ascontiguousarray(rows.reshape(height, width, channels)[..., order])
 
 
-def _pose(pose: Any) -> Array:
-    at, turn = pose.position, pose.orientation
-    return np.array((at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w), dtype=np.float64)
-
-
 class ScanColumn:
     """Brings the scans of a dataset onto the beams of the first one.
 
@@ -91,41 +84,40 @@ class ScanColumn:
     """
 
     def __init__(self, beams: int | None, layout: ScanLayout | None = None) -> None:
-        """Take the number of beams that scans are brought to; None to keep them as they are."""
+        """Take the beams that scans are brought to.
+
+        Args:
+            beams: Their number; None for that of the first scan.
+            layout: Beams of the first scan, where it was read before.
+        """
         self.layout = layout
         self._beams = beams
 
     def read(self, message: Any, what: str) -> NDArray[np.float32]:
-        """Return the ranges (beams,) [m] of a scan.
+        """Return the ranges (beams,) [m] of a scan; a lidar's beams may vary, as those of an LDS-02 do.
 
         Raises:
-            BagError: The scan has other beams than the first, and no number of beams was asked for.
+            BagError: The scan looks in other directions than the first, and no number of beams was asked for.
             ScanError: It is no scan of any lidar.
         """
-        ranges = np.asarray(message.ranges, dtype=np.float32)
-        scan = ScanGeometry(
-            len(ranges),
-            float(message.angle_min),
-            float(message.angle_increment),
-            float(message.range_min),
-            float(message.range_max),
-        )
+        ranges, scan = read_scan(message)
         scan.check()
         if self.layout is None:
             self.layout = self._first(scan, str(message.header.frame_id))
         layout = self.layout
-        if self._beams is not None:
-            bearings = layout.angle_min + layout.angle_increment * np.arange(layout.beams, dtype=np.float64)
-            field, nearest = nearest_beams(scan, bearings)
-            return np.where(field, ranges[nearest], np.float32(np.nan))
         last = scan.angle_min + scan.angle_increment * scan.beams
         usual = layout.angle_min + layout.angle_increment * layout.beams
-        if scan.beams != layout.beams or max(abs(scan.angle_min - layout.angle_min), abs(last - usual)) > _SAME_ANGLE:
+        apart = max(abs(scan.angle_min - layout.angle_min), abs(last - usual))
+        if scan.beams == layout.beams and apart <= _SAME_ANGLE:
+            return ranges
+        if self._beams is None and apart > _SAME_FIELD:
             raise BagError(
                 f"{what} has {scan.beams} beams from {scan.angle_min:.4f} rad, the first has {layout.beams} from "
-                f"{layout.angle_min:.4f} rad: give --beams N to bring all scans to N beams"
+                f"{layout.angle_min:.4f} rad: of another lidar? --beams N brings all scans to N beams of the first"
             )
-        return ranges
+        bearings = layout.angle_min + layout.angle_increment * np.arange(layout.beams, dtype=np.float64)
+        field, nearest = nearest_beams(scan, bearings)
+        return np.where(field, ranges[nearest], np.float32(np.nan))
 
     def _first(self, scan: ScanGeometry, frame: str) -> ScanLayout:
         beams = self._beams or scan.beams

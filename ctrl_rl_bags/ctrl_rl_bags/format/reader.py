@@ -52,10 +52,12 @@ class Bag:
         path: Folder or file of the bag.
         info: Files, times, topics and counts of the bag.
         topics: Topics by name, with their definitions.
+        bytes_read: Size of the messages that were given so far.
     """
 
     def __init__(self, path: Path, limits: Limits, stack: ExitStack) -> None:
         self.path = path
+        self.bytes_read = 0
         self._limits = limits
         try:
             self._metadata = read_metadata(path) if path.is_dir() else None
@@ -101,6 +103,7 @@ class Bag:
                 continue
             with self._open(file) as source:
                 for message in source.messages(wanted, start, stop):
+                    self.bytes_read += len(message.data)
                     yield message._replace(data=self._plain(message.data)) if self._by_message else message
 
     def decoded(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from ctrl_rl_bags.datasets.options import print_note
 from ctrl_rl_core.command import OptionalFileToWrite, Positive, make_command
 from tqdm import tqdm
 
@@ -43,7 +45,7 @@ def _evaluate(options: EvaluateOptions) -> int:
     from ctrl_rl_offline.evaluation.report import evaluate_offline as judge
 
     values = None if options.value is None else load_values(options.value, task, options.values)
-    transitions = load_transitions(options.runs, task, options.robot)
+    transitions = load_transitions(options.runs, task, options, tell=partial(print_note, "evaluate_offline"))
     with tqdm(total=options.fits * options.updates, desc="evaluating", unit="update", disable=None) as bar:
         report = judge(
             transitions,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from ctrl_rl_bags.datasets.options import TaskDriveOptions, print_note
 from ctrl_rl_core.command import (
     FileToWrite,
     FolderToWrite,
@@ -24,15 +26,13 @@ from ctrl_rl_offline.learners.settings import METHODS, NEEDS_VALUE, LearningSett
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions:
+class TaskOptions(TaskDriveOptions):
     """Options of commands that read bags of a task."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Bags, or folders of runs with a bag in `bag`."""
     task: str
     """Task of the bags: one of the suite, or a task file."""
-    robot: str = ""
-    """Namespace of the topics."""
     value: str | None = None
     """Value function: time_to_reach (solved once and kept in --values), oc_value (that ships), or a file."""
     values: FolderToWrite = Path("runs/values")
@@ -74,7 +74,7 @@ def _learn(options: LearnOptions) -> int:
     from ctrl_rl_offline.data.values import TIME_TO_REACH, clearance_of, load_values
     from ctrl_rl_offline.learners.learning import learn
 
-    transitions = load_transitions(options.runs, task, options.robot)
+    transitions = load_transitions(options.runs, task, options, tell=partial(print_note, "learn_offline"))
     print(
         f"bags       {transitions.episode_count} episodes, {len(transitions)} steps, success {transitions.success:.0%}"
     )

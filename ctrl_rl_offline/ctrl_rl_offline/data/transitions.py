@@ -5,13 +5,13 @@ transitions = load_transitions([Path("runs/drives/bag")], load_navigation_task("
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from ctrl_rl_bags.alignment.clocks import warn
 from ctrl_rl_bags.datasets.conversion import find_bag
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
 from ctrl_rl_bags.datasets.frames import (
@@ -25,14 +25,14 @@ from ctrl_rl_bags.datasets.frames import (
     SCAN,
     Frames,
     Layout,
+    whole_episodes,
 )
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions
-from ctrl_rl_core.driving.scan import ScanGeometry
-from ctrl_rl_core.geometry.odometry import OdometryReader, yaw_of
-from ctrl_rl_core.policies.observation import ObservationBuilder, Sensors
+from ctrl_rl_bags.datasets.options import TaskDriveOptions, check_task
+from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.sensing.pose import planar
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, PolicyManifest, terminal_reward
+from ctrl_rl_core import NavigationTask, OdometryReader, PolicyManifest, Sensors, task_digest, terminal_reward
 from ctrl_rl_offline.data.interface import sensed_interface
 from ctrl_rl_offline.errors import OfflineError
 
@@ -96,30 +96,40 @@ class Transitions:
 
 
 def load_transitions(
-    runs: Sequence[Path], task: NavigationTask, robot: str = "", interface: PolicyManifest | None = None
+    runs: Sequence[Path],
+    task: NavigationTask,
+    options: TaskDriveOptions | None = None,
+    interface: PolicyManifest | None = None,
+    tell: Callable[[str], object] = warn,
 ) -> Transitions:
-    """Return the transitions of bags.
+    """Return the transitions of bags, in steps of the task's length.
 
     Args:
         runs: Bags, or folders of runs with a bag in `bag`.
         task: Task that was driven.
-        robot: Namespace of the topics.
+        options: Topics, beams and clock of the bags; the usual ones unless given.
         interface: Observation and commands of the policies; None for `sensed_interface`.
+        tell: Takes a line about what was left out; warns unless given.
 
     Raises:
-        BagError: A bag cannot be read or lacks scans, odometry or commands.
+        BagError: A bag cannot be read or lacks scans, odometry or commands; it is of another task, or its scans come
+            more seldom than the task's steps.
         OfflineError: Nothing in it is a transition.
         PolicyError: The scans do not show what a policy observes.
     """
-    options = ExtractionOptions(robot=robot)
+    options, found = options or TaskDriveOptions(), Found()
+    how = options.extraction(period=task.episode.time_step)
     parts: list[Transitions] = []
     for run in runs:
         bag = find_bag(run)
-        layout = find_layout(bag, options)
+        layout = find_layout(bag, how)
+        check_task(bag, layout.digests, task.name, task_digest(task), allowed=options.other_task, tell=tell)
         before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
-        parts += to_transitions(extract([bag], layout, options, Found()), layout, task, before, interface)
+        parts += to_transitions(extract([bag], layout, how, found), layout, task, before, interface)
     if not parts:
-        raise OfflineError(f"{runs[0]}: no two scans with odometry and a command between: was the robot driven?")
+        raise OfflineError(f"{runs[0]}: {found.why_nothing}")
+    for line in found.notes:
+        tell(line)
     return concatenate(parts)
 
 
@@ -133,15 +143,9 @@ def to_transitions(
     """Return the transitions of each episode of frames; their numbers count from `before`."""
     manifest = interface or sensed_interface(task)
     observer = _Observer(manifest, task, layout)
-    out: list[Transitions] = []
-    parts: list[Frames] = []
-    for piece in frames:
-        parts.append(piece)
-        if piece.last:
-            columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in piece.columns}
-            out.append(_episode(columns, observer, manifest, task, before + piece.episode))
-            parts = []
-    return out
+    return [
+        _episode(columns, observer, manifest, task, before + piece.episode) for piece, columns in whole_episodes(frames)
+    ]
 
 
 def concatenate(parts: Sequence[Transitions]) -> Transitions:
@@ -151,7 +155,11 @@ def concatenate(parts: Sequence[Transitions]) -> Transitions:
 
 
 def _episode(
-    columns: dict[str, NDArray[Any]], observer: _Observer, manifest: PolicyManifest, task: NavigationTask, number: int
+    columns: Mapping[str, NDArray[Any]],
+    observer: _Observer,
+    manifest: PolicyManifest,
+    task: NavigationTask,
+    number: int,
 ) -> Transitions:
     seen, states = observer.observe(columns)
     kept = ~columns[IS_LAST].astype(np.bool_)
@@ -180,37 +188,18 @@ class _Observer:
     """Builds observations and states from the columns of frames, as a node builds them from messages."""
 
     def __init__(self, manifest: PolicyManifest, task: NavigationTask, layout: Layout) -> None:
-        scan = layout.scan
-        self._scan = ScanGeometry(scan.beams, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        self._scan = layout.scan.geometry
         self._build, self._state = ObservationBuilder(manifest), OdometryReader(task.system.build().state_names)
         self._idle = np.array(manifest.rest)
 
-    def observe(self, columns: dict[str, NDArray[Any]]) -> tuple[Vectors, Array]:
+    def observe(self, columns: Mapping[str, NDArray[Any]]) -> tuple[Vectors, Array]:
         """Return observations (n, size) and states (n, d)."""
         seen, states, command = [], [], self._idle
         goals = columns.get(GOAL)
-        for row, numbers in enumerate(columns[ODOMETRY].tolist()):
-            odometry = message_of(numbers)
+        for row, odometry in enumerate(columns[ODOMETRY]):
             goal = None if goals is None else planar(goals[row].tolist())
-            sensors = Sensors(columns[SCAN][row], self._scan, odometry, planar(numbers[:7]), goal, command)
+            sensors = Sensors(columns[SCAN][row], self._scan, odometry, planar(odometry[:7].tolist()), goal, command)
             seen.append(self._build(sensors))
             states.append(self._state(odometry))
             command = columns[ACTION][row]
         return np.array(seen, dtype=np.float32), np.array(states)
-
-
-def message_of(numbers: Sequence[float]) -> Any:
-    """Return an odometry message of pose and twist (13,), for what reads the fields of one."""
-    at, turn, linear, angular = numbers[:3], numbers[3:7], numbers[7:10], numbers[10:]
-    pose = SimpleNamespace(position=_named("xyz", at), orientation=_named("xyzw", turn))
-    twist = SimpleNamespace(linear=_named("xyz", linear), angular=_named("xyz", angular))
-    return SimpleNamespace(pose=SimpleNamespace(pose=pose), twist=SimpleNamespace(twist=twist))
-
-
-def planar(pose: Sequence[float]) -> Array:
-    """Return x, y, theta (3,) of position and quaternion (7,)."""
-    return np.array((pose[0], pose[1], yaw_of(_named("xyzw", pose[3:]))))
-
-
-def _named(names: str, numbers: Sequence[float]) -> SimpleNamespace:
-    return SimpleNamespace(**dict(zip(names, numbers, strict=True)))

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from ctrl_rl_bags.datasets.options import DriveOptions, print_note
 from ctrl_rl_core.command import FileToWrite, checked, finite_number
 from tqdm import tqdm
 
 from ctrl_rl_core import CommandError
 from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, load_segments
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
+
+TELL = partial(print_note, "note")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +29,8 @@ class PolicyOption:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TopicOptions:
+class TopicOptions(DriveOptions):
     """Topics of the robot in a bag, and how its lidar is mounted."""
-
-    robot: str = ""
-    """Namespace of the topics in the bags; none unless given."""
 
     lidar_yaw: Annotated[float | None, checked(finite_number, "FLOAT")] = None
     """Direction of the scan's zero bearing in the robot's frame [rad]; by the bag's tf_static unless given, else 0."""
@@ -65,13 +66,16 @@ class OutputOptions:
     """Replace an existing policy file."""
 
 
-def read_segments(bags: Sequence[Path], options: TopicOptions, observe: ObservationFn) -> list[TrajectorySegment]:
+def read_segments(
+    bags: Sequence[Path], options: TopicOptions, observe: ObservationFn, tell: Callable[[str], object] = TELL
+) -> list[TrajectorySegment]:
     """Return the segments of all bags, in their order.
 
     Args:
         bags: Folders of rosbag2.
         options: Topics of the robot, and how its lidar is mounted.
         observe: Function from a scan and odometry to an observation.
+        tell: Takes lines about what was left out; prints them on stderr unless given.
 
     Raises:
         KoopmanError: a topic is missing or holds nothing usable.
@@ -79,5 +83,5 @@ def read_segments(bags: Sequence[Path], options: TopicOptions, observe: Observat
     """
     out: list[TrajectorySegment] = []
     for bag in tqdm(bags, desc="reading", unit="bag", disable=None):
-        out += load_segments(bag, observe, options.robot, options.lidar_yaw)
+        out += load_segments(bag, observe, options, options.lidar_yaw, tell)
     return out

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ctrl_rl_bags.datasets.options import check_task
 from ctrl_rl_core.command import make_command
 
+from ctrl_rl_bags import bag_info
 from ctrl_rl_core import load_navigation_task, task_digest
-from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, read_segments
+from koopman_lqr_controller.cli.bag_options import TELL, BagOptions, OutputOptions, read_segments
 from koopman_lqr_controller.data.trajectory_segments import check_held_out, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
@@ -26,6 +28,9 @@ class EdmdOptions(OutputOptions, BagOptions):
     speed: float = 0.18
     """Speed to drive at [m/s]."""
 
+    other_task: bool = False
+    """Take bags of another task, or of another version of it, too."""
+
 
 def _learn(options: EdmdOptions) -> int:
     refuse_existing(options.output, options.overwrite)
@@ -40,10 +45,13 @@ def _train(options: EdmdOptions) -> EdmdPolicy:
     task = load_navigation_task(options.task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()
+    digest = task_digest(task)
+    for bag in options.bags:
+        check_task(bag, bag_info(bag).custom_data, task.name, digest, allowed=options.other_task, tell=TELL)
     segments = read_segments(options.bags, options, observables.observe)
     manifest = {
         "task": task.name,
-        "task_digest": task_digest(task),
+        "task_digest": digest,
         "bags": [bag.name for bag in options.bags],
         "dt": mean_time_step(segments),
     }

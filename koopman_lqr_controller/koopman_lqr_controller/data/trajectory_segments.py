@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_bags.alignment.clocks import Tell, warn
+from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
+from ctrl_rl_bags.datasets.frames import ACTION, ODOMETRY, OUTCOME, SCAN, states_of, times_of, whole_episodes
+from ctrl_rl_bags.datasets.options import DriveOptions
 from numpy.typing import NDArray
 
-from ctrl_rl_bags import EXTRACTORS, AlignedSamples, Extractor, align, bag_info
+from ctrl_rl_core import CtrlRlError, ScanGeometry
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.policies.koopman_policy import ObservationFn
-from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE, ScanGeometry
 from koopman_lqr_controller.sensing.lidar_mounting import yaw_of_lidar
-
-_EPISODE = Extractor(lambda message: (message.episode, message.outcome.value), ("episode", "outcome"))
-_OLDEST = 1.0
-"""Commands and odometry older than this do not count: a base stops without them [s]."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,11 @@ class TrajectorySegment:
 
 
 def load_segments(
-    bag: Path, observe: ObservationFn, robot: str = "", lidar_yaw: float | None = None
+    bag: Path,
+    observe: ObservationFn,
+    options: DriveOptions | None = None,
+    lidar_yaw: float | None = None,
+    tell: Tell = warn,
 ) -> list[TrajectorySegment]:
     """Return what was seen and commanded in one bag, apart for each sequence without a gap.
 
@@ -54,37 +57,30 @@ def load_segments(
     so is what has no command or odometry of the last second.
 
     Args:
-        bag: With the topics scan, odom and cmd_vel (Twist or TwistStamped).
+        bag: With scans, odometry and commands (Twist or TwistStamped).
         observe: Function from a scan and odometry to an observation.
-        robot: Namespace of the topics.
+        options: Topics, beams and clock; the usual ones unless given.
         lidar_yaw: Direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
             says, and 0 where it says nothing.
+        tell: Takes a line about what was left out or taken for granted; warns unless given.
 
     Raises:
-        KoopmanError: a topic is missing or holds nothing usable.
-        BagError: the bag cannot be read.
+        KoopmanError: the bag holds nothing usable.
+        BagError: the bag cannot be read, a topic is missing, or two clocks differ.
     """
-    prefix = f"/{robot.strip('/')}" if robot else ""
-    scan, odom, command, episode = (f"{prefix}/{name}" for name in ("scan", "odom", "cmd_vel", "episode"))
-    info = {name: topic.type for name, topic in bag_info(bag).topics.items()}
-    missing = [topic for topic in (scan, odom, command) if topic not in info]
-    if missing:
-        raise KoopmanError(f"{bag}: no topic {', '.join(missing)}; it has {', '.join(sorted(info))}")
-    unknown = [topic for topic in (scan, odom, command) if info[topic] not in EXTRACTORS]
-    if unknown:
-        known = ", ".join(EXTRACTORS)
-        raise KoopmanError(f"{unknown[0]} is of type {info[unknown[0]]}: must be one of {known}")
-    extractors = {topic: EXTRACTORS[info[topic]] for topic in (scan, odom, command)}
-    if episode in info:
-        extractors[episode] = _EPISODE
-    stamped = info[command].endswith("TwistStamped")
-    yaw = yaw_of_lidar(bag, scan, prefix) if lidar_yaw is None else lidar_yaw
-    sequences = align(bag, extractors, reference=scan, methods={odom: "linear"})
+    how = (options or DriveOptions()).extraction(even=True)
+    layout, found = find_layout(bag, how), Found()
+    if layout.command.endswith("RotorThrusts"):
+        raise KoopmanError(f"{bag}: its commands are thrusts: a robot on wheels is needed")
+    yaw = yaw_of_lidar(bag, how.topic("scan"), how.robot, tell) if lidar_yaw is None else lidar_yaw
+    geometry = layout.scan.geometry.turned(yaw)
     out: list[TrajectorySegment] = []
-    for sequence in sequences:
-        out += _pieces(sequence, observe, yaw, (scan, odom, command, episode), stamped)
+    for _, columns in whole_episodes(extract([bag], layout, how, found)):
+        out += _pieces(columns, observe, geometry)
     if not out:
-        raise KoopmanError(f"{bag}: no two consecutive scans with odometry and a command: was the robot driven?")
+        raise KoopmanError(f"{bag}: {found.why_nothing}")
+    for line in found.notes:
+        tell(line)
     return out
 
 
@@ -129,25 +125,18 @@ def split(
 
 
 def _pieces(
-    sequence: AlignedSamples, observe: ObservationFn, yaw: float, topics: Sequence[str], stamped: bool
+    columns: Mapping[str, NDArray[Any]], observe: ObservationFn, geometry: ScanGeometry
 ) -> list[TrajectorySegment]:
-    scan, odom, command, episode = topics
-    odometry, commands = sequence.values[odom], sequence.values[command]
-    seen = [_seen(observe, s, yaw, o) for s, o in zip(sequence.values[scan], odometry, strict=True)]
+    """Return the parts of an episode whose scans show something."""
+    speeds = states_of(columns[ODOMETRY])[:, 3:].astype(np.float64)
+    seen = [_seen(observe, *row, geometry) for row in zip(columns[SCAN], speeds, strict=True)]
     width = max((len(x) for x in seen if x is not None), default=0)
     if not width:  # no scan shows anything
         return []
     x = np.array([np.full(width, np.nan) if it is None else it for it in seen])
-    # A stamped command carries the stamp of the scan it answers; an unstamped one was sent after it, before the next.
-    held = slice(None, -1) if stamped else slice(1, None)
-    u, step = commands[held], np.diff(sequence.seconds)
-    usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & np.isfinite(u).all(axis=1)
-    usable &= (sequence.ages[command][held] < _OLDEST) & (sequence.ages[odom][:-1] < _OLDEST)
-    usual = float(np.median(step)) if len(step) else np.nan
-    usable &= np.abs(step / usual - 1.0) < STEP_TOLERANCE
-    if episode in sequence.values:
-        number, outcome = sequence.values[episode].T
-        usable &= (number[:-1] == number[1:]) & (outcome[1:] == 0)
+    u = columns[ACTION][:-1]
+    usable = np.isfinite(x[:-1]).all(axis=1) & np.isfinite(x[1:]).all(axis=1) & (columns[OUTCOME][:-1] == 0)
+    usual = float(np.median(np.diff(times_of(columns)))) * 1e-9
     cuts = np.flatnonzero(~usable)
     runs = np.split(np.arange(len(usable)), np.unique(np.concatenate((cuts, cuts + 1))))
     return [
@@ -157,11 +146,9 @@ def _pieces(
     ]
 
 
-def _seen(observe: ObservationFn, scan: Any, yaw: float, odometry: NDArray[np.float64]) -> Array | None:
+def _seen(observe: ObservationFn, ranges: NDArray[np.float32], speeds: Array, geometry: ScanGeometry) -> Array | None:
     """Return x of one sample, None where the scan shows nothing."""
-    bearing = scan.angle_min + yaw
-    geometry = ScanGeometry(len(scan.ranges), bearing, scan.angle_increment, scan.range_min, scan.range_max)
     try:
-        return observe(scan.ranges, geometry, odometry[3], odometry[4])
-    except KoopmanError:
+        return observe(ranges, geometry, float(speeds[0]), float(speeds[1]))
+    except CtrlRlError:
         return None

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.format.checks import fields_of
+from ctrl_rl_bags.alignment.clocks import Tell, warn
+from ctrl_rl_bags.format.checks import fields_of, printable
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
@@ -17,20 +18,21 @@ _LEVEL = 0.99
 """Cosine of the lidar's tilt, above which its scan is one of the plane."""
 
 
-def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
+def yaw_of_lidar(bag: Path, scan: str, robot: str = "", tell: Tell = warn) -> float:
     """Return the direction of a scan's zero bearing in the robot's frame [rad], 0 where the bag has no tf_static.
 
     Args:
         bag: With or without the topic tf_static.
         scan: Topic of the scans.
-        prefix: Namespace of the robot, for its own tf_static.
+        robot: Namespace of the robot, for its own tf_static.
+        tell: Takes the line that nothing says how the lidar is mounted; warns unless given.
 
     Raises:
         KoopmanError: the lidar hangs upside down or is tilted, or tf_static does not say how it hangs.
         BagError: the bag cannot be read.
     """
     known = bag_info(bag).topics
-    topics = [name for name in dict.fromkeys((f"{prefix}/tf_static", "/tf_static")) if name in known]
+    topics = [name for name in dict.fromkeys((f"/{robot.strip('/')}/tf_static", "/tf_static")) if name in known]
     turns: dict[str, tuple[str, Any]] = {}
     with fields_of(f"{bag}: a message of {scan} or tf_static"):
         frame = next((message.data.header.frame_id for message in read_messages(bag, [scan])), "")
@@ -38,6 +40,11 @@ def yaw_of_lidar(bag: Path, scan: str, prefix: str = "") -> float:
             for transform in message.data.transforms:
                 turns[transform.child_frame_id] = (transform.header.frame_id, transform.transform.rotation)
     if not turns:
+        if frame.rpartition("/")[2] not in ("", *_BASES):
+            tell(
+                f"{bag}: no tf_static says how {printable(frame)} is mounted: the lidar is taken to look ahead "
+                "(--lidar-yaw)"
+            )
         return 0.0
     axes = np.eye(3)
     while frame.rpartition("/")[2] not in _BASES:
