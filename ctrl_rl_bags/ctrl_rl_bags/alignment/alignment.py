@@ -126,7 +126,8 @@ def align(
             for topic, series in run.items():
                 here = series.across(times[:-1], times[1:])
                 if here.any():
-                    tell(f"{opened.path}: {topic} jumps {len(np.split(here, np.flatnonzero(here))) - 1} times")
+                    where = float(times[:-1][here][0] - times[0]) * 1e-9
+                    tell(f"{opened.path}: {topic} jumps after {where:.1f} s: the drive is cut there")
                 cuts |= here
             values: dict[str, NDArray[Any]] = {}
             ages: dict[str, NDArray[np.float64]] = {}

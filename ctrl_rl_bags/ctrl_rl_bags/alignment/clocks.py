@@ -147,7 +147,7 @@ def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
 def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
     """Leave out messages that were received or stamped before their clock had begun."""
     received = np.concatenate([series.times for series in read.values()] or [np.empty(0, np.int64)])
-    begun = received[received > 0].min(initial=0) > _BEGUN_NS
+    begun = (received > 0).any() and received[received > 0].min() > _BEGUN_NS
     out = {}
     for topic, series in read.items():
         where = f"{bag.path}: {printable(topic)}"
@@ -157,10 +157,9 @@ def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeS
         stamps = series.stamps
         if stamps is not None and len(stamps):
             if (stamps == 0).all() and len(stamps) >= min(_FEWEST, len(series.times)) and received.max() > _BEGUN_NS:
-                if len(stamps) > 1:
-                    tell(f"{where}: its stamps are 0: the times of reception count")
+                tell(f"{where}: its stamps are 0: the times of reception count")
                 series, stamps = replace(series, stamps=None), None
-            elif (without := (stamps == 0) & kept).any() and stamps[stamps > 0].min() > _BEGUN_NS:
+            elif (without := (stamps == 0) & kept).any() and stamps[stamps != 0].min() > _BEGUN_NS:
                 tell(f"{where}: {without.sum()} messages are stamped 0 and are left out")
                 kept &= ~without
         rows = np.flatnonzero(kept)

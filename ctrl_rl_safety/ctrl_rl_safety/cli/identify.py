@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
+from ctrl_rl_bags.datasets.options import print_note
 from ctrl_rl_core.command import FileToWrite, FiniteNumber, make_command
 
 from ctrl_rl_safety.errors import SafetyError
@@ -53,7 +55,7 @@ def _identify(options: Identify) -> int:
     name = options.output.stem
     if options.output.suffix not in (".yaml", ".yml"):
         raise SafetyError(f"--output {options.output}: name a .yaml file")
-    drives = read_drives(options.bag, options.commands, options.odometry)
+    drives = read_drives(options.bag, options.commands, options.odometry, partial(print_note, "identify"))
     fit = fit_drives(drives, options.track)
     measured = {each: getattr(fit, each) for each in _MEASURED}
     given = {each: getattr(options, each) for each in ("range_error", "scan_age", "track")}

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from ctrl_rl_bags.alignment.clocks import Tell, warn
+from ctrl_rl_bags.alignment.resampling import Method
 from ctrl_rl_core.sensing.odometry_health import contradiction
 from numpy.typing import NDArray
 
@@ -42,13 +44,14 @@ class Drive:
     speeds: Array
 
 
-def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "") -> list[Drive]:
-    """Return the pieces of a bag in which commands came and the odometry has no gap.
+def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "", tell: Tell = warn) -> list[Drive]:
+    """Return the pieces of a bag in which commands came and the odometry has no gap and no jump.
 
     Args:
         bag: Bag with commands and odometry.
         command_topic: Topic of Twist or TwistStamped; the only one that ends with cmd_vel unless given.
         odometry_topic: Topic of Odometry; the only one that ends with odom unless given.
+        tell: Takes lines about what was left out; warns unless given.
 
     Raises:
         SafetyError: A topic is missing or empty, or no piece lasts a second.
@@ -59,7 +62,8 @@ def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "") ->
         odometry = _topic(opened.info.topics, odometry_topic, "odom", bag)
     try:
         # The log times of both: a delay is from the sending of a command to the odometry that shows its effect.
-        found = align(bag, [commands, odometry], 1.0 / STEP, methods={odometry: "linear"}, clock="log", max_age=LATEST)
+        methods: dict[str, Method] = {odometry: "linear"}
+        found = align(bag, [commands, odometry], 1.0 / STEP, methods=methods, clock="log", max_age=LATEST, tell=tell)
     except BagError as error:
         raise SafetyError(str(error)) from None
     drives = []

@@ -72,7 +72,7 @@ def load_segments(
     layout, found = find_layout(bag, how), Found()
     if layout.command.endswith("RotorThrusts"):
         raise KoopmanError(f"{bag}: its commands are thrusts: a robot on wheels is needed")
-    yaw = yaw_of_lidar(bag, how.topic("scan"), how.robot, tell) if lidar_yaw is None else lidar_yaw
+    yaw = yaw_of_lidar(bag, how.topic("scan"), how.robot, found.note) if lidar_yaw is None else lidar_yaw
     geometry = layout.scan.geometry.turned(yaw)
     out: list[TrajectorySegment] = []
     for _, columns in whole_episodes(extract([bag], layout, how, found)):

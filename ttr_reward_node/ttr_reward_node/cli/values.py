@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from ctrl_rl_bags.datasets.options import check_task, print_note
 from ctrl_rl_core.command import (
     FiniteNumber,
     NotNegative,
@@ -23,6 +25,8 @@ from ctrl_rl_core.tasks.task import load_navigation_task
 from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
 
+from ctrl_rl_bags import bag_info
+from ctrl_rl_core import task_digest
 from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.cli.safe_sets import solve_and_save
 from ttr_reward_node.errors import DoubtfulValueWarning, TimeToReachError
@@ -155,6 +159,10 @@ class Relabel:
     """Width of the task's corridor [m]; the task's own where none is given."""
     robot: str = ""
     """Namespace of the robot's topics; none where it is empty."""
+    odometry: str = "odom"
+    """Topic of the odometry, in the namespace unless it begins with /."""
+    other_task: bool = False
+    """Take a bag of another task, or of another version of it, too."""
     frame: str = "map"
     """Frame of the function's positions."""
     replace: bool = False
@@ -268,7 +276,10 @@ def _slices(options: Slices) -> int:
 
 def _relabel(options: Relabel) -> int:
     function = load_value(options.grid)
-    evaluator = RewardEvaluator(load_navigation_task(options.task or function.task), function, options.width)
+    task = load_navigation_task(options.task or function.task)
+    custom_data, note = bag_info(options.bag).custom_data, partial(print_note, "relabel")
+    check_task(options.bag, custom_data, task.name, task_digest(task), allowed=options.other_task, tell=note)
+    evaluator = RewardEvaluator(task, function, options.width)
     if not evaluator.up_to_date:
         print(f"relabel: {options.grid} belongs to another version of its task: solve the task again", file=sys.stderr)
     count = relabel(
@@ -277,6 +288,7 @@ def _relabel(options: Relabel) -> int:
         function,
         evaluator,
         robot=options.robot,
+        odometry=options.odometry,
         frame=options.frame,
         replace=options.replace,
         progress=True,

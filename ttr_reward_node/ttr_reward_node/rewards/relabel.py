@@ -37,6 +37,7 @@ def relabel(
     evaluator: RewardEvaluator,
     *,
     robot: str = "",
+    odometry: str = "odom",
     frame: str = "map",
     replace: bool = False,
     progress: bool = False,
@@ -51,6 +52,7 @@ def relabel(
         function: Time to reach of the task.
         evaluator: Evaluator that gives the reward of a state.
         robot: Namespace of the topics; none where it is empty.
+        odometry: Topic of the odometry, in the namespace unless it begins with /.
         frame: Frame of the function's positions, in which values and rewards are given, as the node does.
         replace: Whether rewards and values that the bag already has are left out.
         progress: Whether a progress bar is shown on a terminal.
@@ -63,10 +65,12 @@ def relabel(
         BagError: the bag cannot be read, or the output exists.
     """
     prefix = f"/{robot.strip('/')}" if robot else ""
-    odom = f"{prefix}/odom"
+    odom = odometry if odometry.startswith("/") else f"{prefix}/{odometry}"
     topics = bag_info(bag).topics
     if odom not in topics or topics[odom].type != _ODOMETRY:
-        raise TimeToReachError(f"{bag}: no topic {odom} of type {_ODOMETRY}; it has {', '.join(sorted(topics))}")
+        others = [name for name, topic in sorted(topics.items()) if topic.type == _ODOMETRY]
+        hint = f"; name it by --odometry {others[0]}" if others else ""
+        raise TimeToReachError(f"{bag}: no topic {odom} of type {_ODOMETRY}; it has {', '.join(sorted(topics))}{hint}")
     kinds = {f"{prefix}/reward": REWARD, f"{prefix}/time_to_reach": VALUE}
     there = topics.keys() & kinds
     if there and not replace:
