@@ -54,7 +54,15 @@ class Robot:
         return True
 
     def ask(
-        self, v: float = 0.0, odometry: bool = True, x: float = 0.0, y: float = 0.0, ahead: float = 3.0
+        self,
+        v: float = 0.0,
+        odometry: bool = True,
+        x: float = 0.0,
+        y: float = 0.0,
+        ahead: float = 3.0,
+        upright: float = 1.0,
+        direction: float = 1.0,
+        stamped: bool = False,
     ) -> tuple[float, float]:
         """Return the command that answers one more scan, of a room of 3 m with a wall so far ahead."""
         self._sent += 1
@@ -64,13 +72,16 @@ class Robot:
             message.header.frame_id = "odom"
             message.twist.twist.linear.x = v
             message.pose.pose.position.x, message.pose.pose.position.y = x, y
+            message.pose.pose.orientation.w = upright
+            if stamped:
+                message.header.stamp = to_stamp(stamp)
             self.odom.publish(message)
             self.wait(lambda: False, 0.02)
         ranges = np.full(360, 3.0) + 1e-3 * np.random.default_rng(self._sent).random(360)
         ranges[np.arange(-30, 31)] *= ahead / 3.0
         scan = LaserScan(
             angle_max=2 * np.pi * 359 / 360,
-            angle_increment=2 * np.pi / 360,
+            angle_increment=direction * 2 * np.pi / 360,
             range_min=0.12,
             range_max=10.0,
             ranges=float32_array(ranges),
@@ -170,6 +181,24 @@ def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, t
     assert code == 0
     assert body.wait(lambda: body.last == (0.0, 0.0)), "the last command is zero"
     assert "Traceback" not in node.output
+
+
+def test_what_contradicts_itself_stops_the_robot(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
+    node = run_node("ctrl_rl_core", "policy", f"policy:={write(tmp_path, 'slow')}", "scan_timeout:=5.0")
+    body = robot()
+    body.begin()
+    assert body.ask()[0] > 0.0
+    assert body.ask(direction=-1.0) == (0.0, 0.0), "beams turn the other way than the angles say"
+    node.wait_for("stopping: the scan has 360 ranges, and -358 by its angle_min, _max and _increment")
+    assert body.ask()[0] > 0.0
+    assert body.ask(upright=0.0) == (0.0, 0.0)
+    node.wait_for("stopping: odometry with a quaternion of length 0: must be 1")
+    moved = [body.ask(x=0.05 * step, stamped=True)[0] for step in range(12)]
+    assert moved[0] > 0.0
+    assert moved[-1] == 0.0
+    node.wait_for("in its pose, of which its speeds explain 0.00 m")
+    moved = [body.ask(x=0.6 + 0.05 * step, v=0.5, stamped=True)[0] for step in range(20)]
+    assert moved[-1] > 0.0, "its twist explains its pose again"
 
 
 def overflowing(name: str, folder: Path) -> Path:

@@ -123,13 +123,13 @@ class Robot(Schema):
         range_error: Bound of the error of an echo's place [m].
         scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
         track: Distance between two driven wheels whose force speed and turn rate share [m]; 0 where they do not.
-        planning: What drivers ask it for, below its limits.
+        planning: Speeds and accelerations that drivers ask for, below the limits.
         mass: Mass of the whole robot [kg]; 0 where a URDF tells it.
-        wheels: Its wheels; None for a robot that is never simulated.
+        wheels: Driven wheels; None for a robot that is never simulated.
         base_height: Height of base_link above the floor [m].
         urdf: URDF file of its body, one of the suite's or beside this file; empty for a body of these numbers.
         least_voltage: Least voltage of its battery [V]; 0 where nobody knows.
-        lidar: Its lidar.
+        lidar: Lidar, with its place on the robot.
     """
 
     name: str = Field(min_length=1, max_length=100)

@@ -49,8 +49,8 @@ class Parameter:
         live: Whether `ros2 param set` may change it while the node runs.
         kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; a ROS name; or the name
             or file of a robot.
-        of_robot: What the default is of the robot that the node's parameter of kind `robot` names, as in `lidar.x`;
-            empty where it is the same for all robots.
+        of_robot: Attribute, such as `lidar.x`, of the robot that the node's parameter of kind `robot` names: its value is
+            the default. Empty where the default is the same for all robots.
     """
 
     name: str
@@ -203,7 +203,7 @@ def robot_parameter(
 
     Args:
         name: Name of the parameter.
-        attribute: What it is of a robot, as in `lidar.x`.
+        attribute: Attribute of a robot whose value is the default, such as `lidar.x`.
         description: Meaning, with the unit in brackets.
         minimum: Least value allowed, None for no bound.
         maximum: Largest value allowed, None for no bound.

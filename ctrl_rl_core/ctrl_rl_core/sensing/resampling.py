@@ -84,7 +84,7 @@ class Sectors:
         bearings: Middle of each sector, in order around the robot [rad].
         half_width: Half the opening of a sector [rad]; 0 for the nearest beam alone.
         far: Distance that stands for "nothing there", and cap of all others [m].
-        reduce: What stands for the beams of a sector: their median, or the least of them.
+        reduce: Distance that stands for the beams of a sector: their median, or the least of them.
     """
 
     bearings: tuple[float, ...]

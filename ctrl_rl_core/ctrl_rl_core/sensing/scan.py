@@ -120,7 +120,7 @@ def read_scan(message: Any, yaw: float = 0.0) -> Scan:
     """Return ranges and geometry of a sensor_msgs/LaserScan, from rclpy or a bag; `ScanGeometry.check` judges it.
 
     Args:
-        message: The scan.
+        message: Scan from rclpy or a bag.
         yaw: Direction of the scan's zero bearing in the robot's frame [rad].
     """
     return Scan(np.asarray(message.ranges, dtype=np.float32), ScanGeometry.of(message).turned(yaw))
