@@ -125,8 +125,7 @@ docs: build ## the documentation site, into site/; broken links are errors
 	@scripts/docs
 
 picture: build ## the README's moving picture, from a drive made anew
-	@$(RUN) run=runs/picture-$$(date +%Y%m%d-%H%M%S); ros2 run ctrl_rl_bringup demo --seed 5 --output $$run; \
-	ros2 run ctrl_rl_bringup animate $$run --output docs/images/demo.gif
+	@$(RUN) python -m ctrl_rl_bringup.cli.picture runs/picture_$$(date +%Y%m%d_%H%M%S)
 
 results: build ## the page of results from the JSON files
 	@$(RUN) ros2 run ctrl_rl_bringup results docs/results docs/results.md

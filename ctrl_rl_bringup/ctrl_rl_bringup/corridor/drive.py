@@ -46,7 +46,7 @@ def drive(options: DriveConfig) -> DriveReport:
     new_run(options)
     values = value_files(options)
     nodes = [*drivers, *value_nodes(options, values)]
-    with _running(options, nodes, {"policy": policy, **values}) as monitor:
+    with running(options, nodes, {"policy": policy, **values}) as monitor:
         monitor.run()
         monitor.follow("driving")
     return read_drive(options.bag)
@@ -82,14 +82,14 @@ def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgr
     policy = find_policy(options.policy)
     drivers = _drivers(options, policy)
     new_run(options)
-    with _running(options, drivers, {"policy": policy}) as monitor:
+    with running(options, drivers, {"policy": policy}) as monitor:
         return _episodes(monitor, seeds, "seed")
 
 
 def record_scripted(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
     """Record the scripted driver, once for each seed: drives to learn from."""
     new_run(options)
-    with _running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
+    with running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 
 
@@ -119,7 +119,7 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 
 
 @contextmanager
-def _running(options: DriveConfig, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
+def running(options: DriveConfig, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
     """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])

@@ -14,10 +14,10 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageColor
 
 from ctrl_rl_core.io.atomic_write import atomic_write
-from ctrl_rl_core.plots.roles import FULL
+from ctrl_rl_core.plots.roles import BLACK, DANGER, FAINT, FULL, GOAL, ROBOTS, WALL
 from ctrl_rl_core.plots.style import set_title, settle, style
 
 Moment = TypeVar("Moment")
@@ -26,6 +26,8 @@ WIDTH = 960
 HOLD = 2.0
 """How long the last frame stays, so that the end is seen [s]."""
 _COLOURS = 128
+_KEPT = (*ROBOTS, BLACK, DANGER, FAINT, GOAL, WALL, "#FFFFFF")
+"""Colours that stay as they are, however few points have them."""
 
 
 @contextmanager
@@ -86,10 +88,17 @@ def film(
         for artist in moving:
             figure.draw_artist(artist)
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))  # type: ignore[no-untyped-call]
-    palette = frames[len(frames) // 2].quantize(_COLOURS)  # the same things move in all of them
+    palette = _palette(frames[len(frames) // 2])  # the same things move in all of them
     first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     content = BytesIO()
     milliseconds = round(1000.0 * frame_time)
     durations = [milliseconds] * len(others) + [round(1000.0 * HOLD)]
     first.save(content, "GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
     atomic_write(path, content.getvalue())
+
+
+def _palette(frame: Image.Image) -> Image.Image:
+    found = (frame.quantize(_COLOURS).getpalette() or [])[: 3 * _COLOURS]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*found, *(value for colour in _KEPT for value in ImageColor.getrgb(colour)[:3])])
+    return palette

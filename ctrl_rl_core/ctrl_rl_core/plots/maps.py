@@ -68,7 +68,13 @@ def name_axes(axes: Axes, across: str, up: str) -> None:
 
 
 def draw_values(
-    axes: Axes, across: ArrayLike, up: ArrayLike, values: ArrayLike, kind: str = "time", span: Any = None
+    axes: Axes,
+    across: ArrayLike,
+    up: ArrayLike,
+    values: ArrayLike,
+    kind: str = "time",
+    span: tuple[float, float] | None = None,
+    step: float | None = None,
 ) -> Any:
     """Draw values over a map, bright where they are good, with white contours at round steps.
 
@@ -79,6 +85,7 @@ def draw_values(
         values: Values (n, m); what is not finite is hatched.
         kind: "time" (short ones are good), "return" (high ones are good), or "signed" (around 0, with its zero level).
         span: Least and largest value; None for those that are there.
+        step: Step of the contours; None for a round one.
 
     Returns:
         What a bar of colours is made for.
@@ -98,7 +105,7 @@ def draw_values(
         if shown.min() < 0.0 < shown.max():
             axes.contour(x, y, shown, [0.0], colors="black", linewidths=1.5)
     else:
-        levels = contour_levels(low, high)
+        levels = contour_levels(low, high, step)
         if len(levels) and min(shown.shape) > 1:
             axes.contour(x, y, shown, levels, colors="white", linewidths=0.7)
     axes.grid(visible=False)
@@ -123,9 +130,9 @@ def draw_counts(axes: Axes, across: ArrayLike, up: ArrayLike, counts: ArrayLike,
     return axes.pcolormesh(np.asarray(across), np.asarray(up), shown, rasterized=True, **look)
 
 
-def contour_levels(low: float, high: float) -> Array:
-    """Return round levels between two values, so many that they can be told apart."""
-    step = next((step for step in _STEPS if (high - low) / step <= _MOST_CONTOURS), _STEPS[-1])
+def contour_levels(low: float, high: float, step: float | None = None) -> Array:
+    """Return levels at round steps between two values, so many that they can be told apart unless a step is given."""
+    step = step or next((step for step in _STEPS if (high - low) / step <= _MOST_CONTOURS), _STEPS[-1])
     levels = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     return levels[(levels > low) & (levels < high)]
 
@@ -174,13 +181,15 @@ def draw_robot(
     axes.plot([x, x + nose[0]], [y, y + nose[1]], color="black", linewidth=1.2, zorder=8)
 
 
-def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name: str = "") -> None:
-    """Draw a person or another mover in true size where it was nearest, and its way (n, 2) [m]."""
+def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name: str = "") -> Circle:
+    """Draw a person or another mover in true size where it was nearest, and its way (n, 2) [m]; return its disc."""
     axes.plot(*np.asarray(track, dtype=float).T, ":", color=DANGER, linewidth=1.4, zorder=4)
     x, y = np.asarray(at, dtype=float)
-    axes.add_patch(Circle((x, y), radius, color=DANGER, linewidth=0, zorder=6))
+    disc = Circle((x, y), radius, color=DANGER, linewidth=0, zorder=6)
+    axes.add_patch(disc)
     if name:
         word_at(axes, name, (float(x), float(y)), DANGER)
+    return disc
 
 
 def draw_landmark(axes: Axes, name: str, place: ArrayLike) -> None:
