@@ -229,8 +229,8 @@ def unturned(odometry: Odometry) -> Odometry:
     ("fault", "why"),
     [
         (lambda _: None, "no recent odometry"),
-        (nowhere, "odometry that is not finite"),
-        (unturned, "which is none"),
+        (nowhere, "odometry with a translation of"),
+        (unturned, "odometry with a quaternion of length"),
         (lambda odometry: shifted(odometry, -5.0), "odometry is"),
         (lambda odometry: shifted(odometry, 5.0), "ahead of this clock"),
     ],

@@ -41,7 +41,6 @@ Array = NDArray[np.float64]
 NAME = "robot_learning"
 RAW = "cmd_vel_raw"
 _TOLD = "safety_filter/status"
-_LARGEST = 1e9
 
 
 class RobotNode(LidarVelocityNode):

@@ -39,8 +39,6 @@ _LATE = 1.5
 """Time without odometry over the period from which on the quadrotor flies on without it."""
 _ALMOST = 0.9
 """Time from one pair of thrusts of that escape to the next over the period: timers are a little early or late."""
-_NO_TURN = 0.1
-"""Deviation of a quaternion's squared length from 1 that makes it no orientation."""
 _RECENT = 1000
 _NONE = np.full(2, math.nan)
 
