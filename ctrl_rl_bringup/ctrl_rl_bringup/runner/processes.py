@@ -12,6 +12,7 @@ from types import TracebackType
 
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ctrl_rl_core.processes.children import start_child
 
 from ctrl_rl_bringup.runner.session import uninterrupted
 from ctrl_rl_bringup.runner.stack import NodeSpec
@@ -45,7 +46,7 @@ def executable_path(spec: NodeSpec) -> Path:
 class Processes:
     """Running nodes, ended in the order in which they are given; a context that leaves none behind.
 
-    Each node's output goes to `<folder>/<name>.log`.
+    They end with this process even where it is killed. Each node's output goes to `<folder>/<name>.log`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -65,7 +66,7 @@ class Processes:
             names = [part for rule in rules for part in ("-r", rule)]
             # An interruption between the start of a process and its entry here would leave it behind.
             with uninterrupted(), (self._folder / f"{spec.name}.log").open("ab") as log:
-                self._running[spec.name] = subprocess.Popen(
+                self._running[spec.name] = start_child(
                     [executable_path(spec), "--ros-args", *names, "--params-file", self._parameter_file(spec)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -80,7 +81,7 @@ class Processes:
                 raise ProcessError(self._end_of(name, process.returncode))
 
     def stop(self, name: str) -> None:
-        """End one node by SIGINT and wait for it; kill it if it does not end.
+        """End one node by SIGTERM and wait for it; kill it if it does not end.
 
         Raises:
             ProcessError: it had to be killed, or ended with another code than 0.
@@ -88,7 +89,7 @@ class Processes:
         process = self._running.pop(name, None)
         if process is None:
             return
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         try:
             code = process.wait(_STOP_S)
         except subprocess.TimeoutExpired:
@@ -107,7 +108,7 @@ class Processes:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for process in self._running.values():
-            process.send_signal(signal.SIGINT)
+            process.terminate()
         for process in self._running.values():
             try:
                 process.wait(_STOP_S)

@@ -1,4 +1,4 @@
-"""rclpy for a command that starts nodes: SIGINT and SIGTERM both interrupt it, so that it ends them before itself."""
+"""rclpy for a command that starts nodes: a signal interrupts it, so that it ends them before itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import rclpy
-from ctrl_rl_core.processes.signals import STOP_SIGNALS, handle_signals
+from ctrl_rl_core.processes.children import end_with_ros2
+from ctrl_rl_core.processes.signals import handle_signals, interrupt_once
 from ctrl_rl_core.ros.running import initialise
 
 
@@ -22,13 +23,8 @@ def ros(arguments: list[str] | None = None) -> Iterator[None]:
     Raises:
         ParameterError: A ROS argument is wrong, or ROS cannot run here.
     """
-
-    def interrupt(_number: int, _frame: object) -> None:
-        for number in STOP_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    with handle_signals(interrupt):
+    end_with_ros2()
+    with interrupt_once():
         # rclpy's own handlers would close the context under whoever is waiting in it.
         initialise(sys.argv if arguments is None else arguments)
         try:

@@ -113,6 +113,10 @@ class CommandWatchdog(SuiteNode):
         self.send_rest()
         self._output.wait_for_all_acked(_LAST_WORD)
 
+    def on_suspend(self) -> None:
+        """Leave the robot at rest as at the end."""
+        self.stop()
+
     def _on_command(self, message: Any) -> None:
         self._refusal = self.refuse(message)
         if self.faults.failing:

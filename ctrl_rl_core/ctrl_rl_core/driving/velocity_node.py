@@ -221,6 +221,10 @@ class VelocityNode(SuiteNode):
             self._send(self.output.rest, None)
             self.output.publisher.wait_for_all_acked(_LAST_WORD)
 
+    def on_suspend(self) -> None:
+        """Leave the robot standing as at the end."""
+        self.stop()
+
     def status(self) -> Status:
         """Return whether commands are sent, and the names of other publishers."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""

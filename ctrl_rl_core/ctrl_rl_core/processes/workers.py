@@ -15,7 +15,7 @@ from multiprocessing.connection import wait as wait_for_any
 from typing import Any, TypeVar
 
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.processes.signals import handle_signals
+from ctrl_rl_core.processes.signals import TERMINAL_SIGNALS, handle_signals
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -83,11 +83,11 @@ def _preload(work: Callable[..., Any], *items: object) -> None:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start meanwhile inherit that SIGINT is ignored: Ctrl-C is for this one, it ends the others."""
+    """Let processes that start meanwhile ignore a terminal's signals: they are for this one, which ends the others."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    with handle_signals(signal.SIG_IGN, (signal.SIGINT,)):
+    with handle_signals(signal.SIG_IGN, TERMINAL_SIGNALS):
         yield
 
 

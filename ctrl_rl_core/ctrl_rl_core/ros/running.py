@@ -21,6 +21,8 @@ from rclpy.logging import LoggingSeverity, get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from ctrl_rl_core.errors import CtrlRlError, one_line
+from ctrl_rl_core.processes.children import end_with_ros2
+from ctrl_rl_core.processes.signals import set_handlers
 from ctrl_rl_core.ros.parameters import ParameterError, help_text
 
 if TYPE_CHECKING:
@@ -45,15 +47,20 @@ class _InterruptedError(BaseException):
 
 
 class _Stop:
-    """Handling of SIGINT and SIGTERM: they request the end, and interrupt blocks that allow it.
+    """Handling of the signals that end a process: they request the end, and interrupt blocks that allow it.
 
     Attributes:
         asked: Whether one has come.
+        suspended: Whether Ctrl-Z has come since the last time that it was obeyed.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = self.suspended = False
         self._may_raise = False
+
+    def suspend(self, _signal: int, _frame: object) -> None:
+        """Note Ctrl-Z."""
+        self.suspended = True
 
     def __call__(self, _signal: int, _frame: object) -> None:
         self.asked = True
@@ -79,18 +86,20 @@ interruptible = _stop.at_once
 
 
 def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
-    """Run one node until SIGINT, SIGTERM or shutdown and return the process's exit code.
+    """Run one node until a signal that ends processes, or shutdown, and return the process's exit code.
 
-    The signals are caught here rather than by rclpy, which would close the publishers before `SuiteNode.stop`
-    could send its zero velocity. 0: stopped in good order; 1: the work failed; 2: a wrong parameter or argument.
+    It ends with the `ros2 run` or `ros2 launch` that started it, too. The signals are caught here rather than by rclpy,
+    which would close the publishers before `SuiteNode.stop` could send its zero velocity. 0: stopped in good order; 1:
+    the work failed; 2: a wrong parameter or argument.
     """
     arguments = sys.argv if arguments is None else arguments
     program = arguments[0].rsplit("/", 1)[-1]
     if "-h" in arguments[1:] or "--help" in arguments[1:]:
         _say(help_text(program, inspect.getdoc(kind) or "", kind.PARAMETERS), sys.stdout)
         return 0
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop)
+    set_handlers(_stop)
+    set_handlers(_stop.suspend, (signal.SIGTSTP,))
+    end_with_ros2()
     node: SuiteNode | None = None
     try:
         with interruptible():
@@ -205,8 +214,17 @@ def _spin(node: SuiteNode) -> None:
                 time.sleep(_BREATH_S)
             if node.faults.ended_by is not None:
                 raise node.faults.ended_by
+            if _stop.suspended:
+                _suspend(node)
     finally:
         executor.shutdown()  # while its context lives: its finaliser would complain afterwards
+
+
+def _suspend(node: SuiteNode) -> None:
+    """Obey Ctrl-Z once the robot has been told to stand: a process that is suspended cannot do that any more."""
+    _stop.suspended = False
+    node.on_suspend()
+    os.kill(os.getpid(), signal.SIGSTOP)
 
 
 def _close(node: SuiteNode | None) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
-from ctrl_rl_core.processes.signals import handle_signals
+from ctrl_rl_core.processes.children import end_with_ros2
+from ctrl_rl_core.processes.signals import interrupt_once
 from ctrl_rl_core.ros.running import initialise
 from ctrl_rl_offline.data.values import find_time_to_reach
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -56,15 +56,11 @@ def connect(
     reward = StepReward(task, TimeToReach(load_value(find_time_to_reach(task, how.values))))
     clock = ["-p", "use_sim_time:=true"] if how.simulator else []
     initialise([*arguments, "--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}", *clock])
+    end_with_ros2()
     try:
-        with handle_signals(_interrupt, (signal.SIGTERM,)), closing(Ros(RobotNode(interface))) as ros:
+        with interrupt_once(), closing(Ros(RobotNode(interface))) as ros:
             starts = SimulatorStarts(ros) if how.simulator else OperatorStarts(ros, print)
             robot = SteppedRobot(ros, starts) if how.stepped else RosRobot(ros, starts)
             yield RobotEnv(robot, task, interface, reward)
     finally:
         rclpy.try_shutdown()
-
-
-def _interrupt(_number: int, _frame: object) -> None:
-    """End as by Ctrl-C: the robot stands before the process goes."""
-    raise KeyboardInterrupt

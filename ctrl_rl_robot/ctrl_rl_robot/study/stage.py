@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 from ament_index_python.packages import get_package_prefix
 from ctrl_rl_core.io.checked_json import read_json
+from ctrl_rl_core.processes.children import start_child
 from ctrl_rl_safety.trials.episodes import CAR
 
 from ctrl_rl_core import task_file
@@ -67,7 +68,8 @@ class Stage:
             _node("sim_bridge", "bridge", bridge, self.folder),
             _node("ctrl_rl_safety", "safety_filter", safety, self.folder),
         ):
-            code = subprocess.call([_path("ctrl_rl_robot", "fine_tune"), *words, *self.arguments, *_ros_words(_OPEN)])
+            command = [_path("ctrl_rl_robot", "fine_tune"), *words, *self.arguments, *_ros_words(_OPEN)]
+            code = start_child(command).wait()
         if code:
             raise RobotError(f"fine_tune ended with exit code {code}; logs of its robot are in {self.folder}")
 
@@ -83,7 +85,7 @@ def _with_whole_scan(task: str) -> dict[str, Any]:
 def _node(package: str, executable: str, parameters: Mapping[str, Any], folder: Path) -> Iterator[None]:
     """Run a node while the context lasts; its output goes to a log in the folder."""
     with (folder / f"{executable}.log").open("wb") as log:
-        process = subprocess.Popen(
+        process = start_child(
             [_path(package, executable), *_ros_words(parameters)], stdout=log, stderr=subprocess.STDOUT
         )
     try:
