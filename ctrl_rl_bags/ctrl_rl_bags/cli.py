@@ -131,6 +131,8 @@ def _info(options: Info) -> int:
     print(f"messages  {info.message_count}")
     if info.unchecked:
         print(f"checksums missing in {info.unchecked}: damage there cannot be detected")
+    for note in info.notes:
+        print(f"note: {note}")
     width = max((len(printable(name)) for name in info.topics), default=0)
     for name, topic in info.topics.items():
         qos = sorted({f"{profile['reliability']}, {profile['durability']}" for profile in topic.qos})
@@ -156,6 +158,8 @@ def _recover(options: Recover) -> int:
         print(f"cut off: {', '.join(found.unfinished)}; {found.dropped_bytes} bytes could not be read")
     if found.too_large:
         print(f"{found.too_large} chunks or records were larger than --max-chunk-mb allows and were left out")
+    if found.foreign:
+        print(f"{found.foreign} messages are none of ROS 2 and were left out")
     print(f"recovered bag: {found.folder}")
     return 0
 

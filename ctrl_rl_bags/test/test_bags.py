@@ -274,7 +274,7 @@ class TestRecover:
         (tmp_path / "taken").mkdir()
         with pytest.raises(BagError, match="exists"):
             recover(folder, tmp_path / "taken")
-        with pytest.raises(BagError, match=r"no \.mcap file"):
+        with pytest.raises(BagError, match=r"no \.mcap or \.db3 file"):
             recover(tmp_path / "taken")
         with pytest.raises(BagError, match="no such bag"):
             recover(tmp_path / "nothing")

@@ -158,6 +158,8 @@ class _Extraction:
         if pictures and "image" not in self._wiring.topics:
             raise BagError(f"{bag.path}: it has no pictures, the first bag has")
         before = bag.bytes_read
+        for note in bag.info.notes:
+            found.note(f"{bag.path}: {note}")
         read = read_timeline(bag, self._wiring, self._options, pictures, found.note)
         found.bytes += bag.bytes_read - before
         self._tell(sum(bag.info.topics[topic].message_count for topic in self._wiring.topics.values()) - read.scans)

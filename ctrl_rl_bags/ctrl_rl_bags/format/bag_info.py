@@ -24,7 +24,10 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum."""
+    """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum.
+
+    Notes say in what its metadata.yaml differs from the files, which are believed.
+    """
 
     folder: Path
     start: int
@@ -34,12 +37,18 @@ class BagInfo:
     topics: Mapping[str, TopicInfo]
     custom_data: Mapping[str, str]
     unchecked: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def is_bag_file(path: Path) -> bool:
+    """Return whether a file is named as one with messages."""
+    return path.suffix in (".mcap", ".db3")
 
 
 def recover_hint(bag: Path | str) -> str:
     """Return the advice of an error to use `bag recover`; empty where that cannot help."""
     path = Path(bag)
-    mendable = any(path.glob("*.mcap")) if path.is_dir() else path.suffix == ".mcap"
+    mendable = any(map(is_bag_file, path.iterdir())) if path.is_dir() else is_bag_file(path)
     return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
 
 
@@ -52,28 +61,35 @@ def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
     return replace(topic, type_hash=topic.type_hash or also.type_description_hash, qos=qos)
 
 
-def compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> None:
-    """Refuse a metadata.yaml that contradicts the files, which have checksums where it has none."""
+def compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> list[str]:
+    """Return in what a metadata.yaml differs from the files, as those of genuine recorders do.
+
+    Recorders of Foxy and Humble keep the times of the last split alone; `ros2 bag reindex` drops empty topics.
+
+    Raises:
+        BagError: Messages are missing, or of another type: the files, which have checksums, are not those of the bag.
+    """
     said = {
         it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count
     }
     found = {name: (topic.type, topic.message_count) for name, topic in info.topics.items()}
-    wrong = next((name for name in sorted(said.keys() | found.keys()) if said.get(name) != found.get(name)), None)
+    differ = [name for name in sorted(said.keys() | found.keys()) if said.get(name) != found.get(name)]
+    empty = [name for name in differ if said.get(name, ("", 0))[1] == found.get(name, ("", 0))[1] == 0]
+    wrong = next((name for name in differ if name not in empty), None)
+    notes = [f"only one of {METADATA_FILE} and the files names {printable(name)}, without messages" for name in empty]
     if wrong in mixed:
-        return
+        return notes
     if wrong is not None:
         words = [
             f"{kind}, {count} messages" if kind else "no such topic"
             for kind, count in (said.get(wrong, ("", 0)), found.get(wrong, ("", 0)))
         ]
         fault = f"{wrong}: {words[0]}; its files: {words[1]}"
-    elif metadata.message_count != info.message_count:
+        raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
+    if metadata.message_count != info.message_count:
         fault = f"{metadata.message_count} messages; its files: {info.message_count}"
-    elif info.message_count and (metadata.starting_time.nanoseconds_since_epoch, metadata.duration.nanoseconds) != (
-        info.start,
-        info.end - info.start,
-    ):
-        fault = "other times than its files"
-    else:
-        return
-    raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
+        raise BagError(f"{info.folder}: {METADATA_FILE} says {printable(fault)}{recover_hint(info.folder)}")
+    times = metadata.starting_time.nanoseconds_since_epoch, metadata.duration.nanoseconds
+    if info.message_count and times != (info.start, info.end - info.start):
+        notes.append(f"{METADATA_FILE} says other times than the files")
+    return notes

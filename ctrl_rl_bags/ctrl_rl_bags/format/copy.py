@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.metadata import Topic
-from ctrl_rl_bags.format.reader import bag_info, open_bag
+from ctrl_rl_bags.format.reader import Bag, bag_info, open_bag
 from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.writer import BagWriter
 
@@ -30,7 +30,7 @@ def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
         yield from opened.messages()
 
 
-def bag_topics(bag: Path | str) -> list[Topic]:
+def bag_topics(bag: Path | str | Bag) -> list[Topic]:
     """Return the topics of a bag with their definitions and quality of service.
 
     Raises:

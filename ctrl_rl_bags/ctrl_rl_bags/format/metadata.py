@@ -51,7 +51,7 @@ class BagMetadata(BaseModel):
     """The keys of metadata.yaml, versions 1 to 9, that are read; the names are rosbag2's."""
 
     version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
-    storage_identifier: Literal["mcap", "sqlite3"]
+    storage_identifier: Literal["mcap", "sqlite3", ""]
     relative_file_paths: list[str]
     duration: _Nanoseconds
     starting_time: _StartingTime

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,11 +21,13 @@ from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, pri
 from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
 from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Topic, read_metadata
-from ctrl_rl_bags.format.sqlite_reader import SqliteReader
+from ctrl_rl_bags.format.sqlite_reader import SqliteReader, with_log
 from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
-_ROS1_MAGIC = b"#ROSBAG V"
+_NOT_MENDED = ("git lfs", "not of ROS 2")
+"""Words of errors that `bag recover` cannot mend."""
+_ROS1_MAGIC, _ZSTD_MAGIC = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -63,19 +65,27 @@ class Bag:
             self._metadata = read_metadata(path) if path.is_dir() else None
         except BagError as error:
             raise BagError(f"{error}{recover_hint(path)}") from None
-        self._storage = self._metadata.storage_identifier if self._metadata else _storage_of(path)
+        self._notes: list[str] = []
         names = self._metadata.relative_file_paths if self._metadata else [path.name]
         folder = path if path.is_dir() else path.parent
-        self._files = [folder / PurePosixPath(name).name for name in names]
+        self._files = [self._find(folder, PurePosixPath(name).name) for name in names]
         self._by_message = False
         if self._metadata and self._metadata.compression_mode and self._metadata.compression_mode.lower() != "none":
             self._uncompress(self._metadata, stack)
+        self._storage: str = self._metadata.storage_identifier if self._metadata else ""
+        if not self._storage and self._files:
+            self._storage = _storage_of(self._files[0])
+            if self._metadata:
+                self._notes.append(f"{METADATA_FILE} names no storage, the files are {self._storage}")
+        if self._storage == "sqlite3":
+            self._add_logs(stack)
         self.topics: dict[str, Topic] = {}
         self._mixed: dict[str, str] = {}
         self._spans: list[tuple[int, int] | None] = []
         self.info = self._read_info(tuple(names))
         if self._metadata:
-            compare(self._metadata, self.info, self._mixed)
+            self._notes += compare(self._metadata, self.info, self._mixed)
+        self.info = replace(self.info, notes=tuple(self._notes))
 
     def messages(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
@@ -145,6 +155,27 @@ class Bag:
         except DamagedError as error:
             raise BagError(f"{self.path}: {error}") from None
 
+    def _find(self, folder: Path, name: str) -> Path:
+        """Return the file that metadata.yaml names: it may have been compressed or uncompressed since."""
+        for other in (name, f"{name}.zstd", name.removesuffix(".zstd")):
+            if (folder / other).exists():
+                if other != name:
+                    self._notes.append(f"{METADATA_FILE} says {printable(name)}, the file is {printable(other)}")
+                return folder / other
+        return folder / name
+
+    def _add_logs(self, stack: ExitStack) -> None:
+        """Add what a recorder that was killed left in write-ahead logs, to copies of the files."""
+        for number, file in enumerate(self._files):
+            log = file.with_name(f"{file.name}-wal")
+            if log.exists() and log.stat().st_size:
+                folder = Path(stack.enter_context(TemporaryDirectory(prefix="bag-")))
+                try:
+                    self._files[number] = with_log(file, log, folder, self._limits)
+                except (DamagedError, OSError) as error:
+                    raise BagError(f"{log} cannot be read: {reason(error)}: move it away to go without it") from None
+                self._notes.append(f"{printable(log.name)} holds the last messages: they are read, too")
+
     @contextmanager
     def _open(self, file: Path) -> Iterator[McapReader | SqliteReader]:
         try:
@@ -154,7 +185,8 @@ class Bag:
             finally:
                 source.close()
         except (DamagedError, OSError) as error:
-            raise BagError(f"{file} cannot be read: {reason(error)}{recover_hint(self.path)}") from None
+            hint = "" if any(words in str(error) for words in _NOT_MENDED) else recover_hint(self.path)
+            raise BagError(f"{file} cannot be read: {reason(error)}{hint}") from None
 
     def _read_info(self, names: tuple[str, ...]) -> BagInfo:
         counts: dict[str, int] = {}
@@ -207,7 +239,10 @@ class Bag:
             return
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="bag-")))
         try:
-            self._files = [_uncompressed(file, folder / file.stem) for file in self._files]
+            self._files = [
+                _uncompressed(file, folder / file.name.removesuffix(".zstd")) if _is_compressed(file) else file
+                for file in self._files
+            ]
         except (DamagedError, OSError, zstandard.ZstdError) as error:
             raise BagError(f"{self.path} cannot be uncompressed: {reason(error)}") from None
 
@@ -236,8 +271,8 @@ def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator
     if not path.exists():
         raise BagError(f"{path}: there is no such bag")
     if path.is_dir() and not (path / METADATA_FILE).exists():
-        if any(path.glob("*.mcap")):
-            raise BagError(f"{path} was cut off{recover_hint(path)}")
+        if recover_hint(path):
+            raise BagError(f"{path} was cut off, it has no {METADATA_FILE}{recover_hint(path)}")
         raise BagError(f"{path} is no bag: it has no {METADATA_FILE}")
     with ExitStack() as stack:
         yield Bag(path, limits, stack)
@@ -284,6 +319,11 @@ def _storage_of(path: Path) -> str:
         new = path.with_suffix("")
         raise BagError(f"{path} is a ROS 1 bag: convert it first with rosbags-convert --src {path} --dst {new}")
     return "sqlite3" if begin.startswith(b"SQLite") else "mcap"
+
+
+def _is_compressed(file: Path) -> bool:
+    with open_regular(file) as (stream, _):
+        return stream.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
 
 
 def _uncompressed(file: Path, output: Path) -> Path:

@@ -21,7 +21,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 from tqdm import tqdm
 
-from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, reason
+from ctrl_rl_bags.format.bag_info import is_bag_file
+from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
+from ctrl_rl_bags.format.copy import bag_topics
 from ctrl_rl_bags.format.mcap_records import (
     DEFAULT_LIMITS,
     MAGIC,
@@ -55,6 +57,7 @@ class Recovery:
         dropped_bytes: Bytes that could not be read, of all files together.
         unfinished: Names of the files that were cut off or damaged.
         too_large: Number of chunks and records that were dropped because they take more memory than is allowed.
+        foreign: Messages that are none of ROS 2 (JSON, protobuf, ROS 1) and were left out.
     """
 
     source: Path
@@ -65,6 +68,7 @@ class Recovery:
     dropped_bytes: int = 0
     unfinished: list[str] = field(default_factory=list)
     too_large: int = 0
+    foreign: int = 0
 
 
 def recover(
@@ -84,11 +88,11 @@ def recover(
     source = Path(bag).absolute()
     if not source.exists():
         raise BagError(f"{bag}: there is no such bag")
-    files = sorted(source.glob("*.mcap"), key=_file_order) if source.is_dir() else [source]
+    files = sorted(filter(is_bag_file, source.iterdir()), key=_file_order) if source.is_dir() else [source]
     if not files:
-        raise BagError(f"{bag} holds no .mcap file: there is nothing to recover")
-    if source.is_file() and source.suffix != ".mcap":
-        raise BagError(f"{bag} is no .mcap file: there is nothing to recover")
+        raise BagError(f"{bag} holds no .mcap or .db3 file: there is nothing to recover")
+    if source.is_file() and not is_bag_file(source):
+        raise BagError(f"{bag} is no .mcap or .db3 file: there is nothing to recover")
     whole = _whole(source, files, limits)
     if whole is not None:
         return whole
@@ -103,7 +107,7 @@ def recover(
     copy = _Copy(folder, max(file.stat().st_size for file in files) if len(files) > 1 else 0, out, limits)
     try:
         for file in tqdm(files, desc="recover", unit="file", disable=None if progress else True):
-            copy.add_file(file)
+            (copy.add_database if file.suffix == ".db3" else copy.add_file)(file)
         copy.finish()
     except BaseException:
         copy.discard()
@@ -126,9 +130,11 @@ class _Copy:
         self._channels: dict[int, str] = {}
         self._kept_bytes = 0
         self._finished = False
+        self._foreign: Counter[str] = Counter()
+        self._strangers: set[int] = set()
 
     def add_file(self, path: Path) -> None:
-        self._schemas, self._channels, self._kept_bytes = {}, {}, 0
+        self._schemas, self._channels, self._strangers, self._kept_bytes = {}, {}, set(), 0
         dropped_before, self._finished = self._found.dropped_bytes, False
         try:
             with open_regular(path) as (stream, size):
@@ -142,7 +148,24 @@ class _Copy:
         if not self._finished or self._found.dropped_bytes > dropped_before:
             self._found.unfinished.append(path.name)
 
+    def add_database(self, path: Path) -> None:
+        """Copy the messages of an sqlite3 file, up to the first that cannot be read."""
+        try:
+            with open_bag(path, self._limits) as bag:
+                for topic in bag_topics(bag):
+                    self._topics.setdefault(topic.name, topic)
+                try:
+                    for message in bag.messages():
+                        self._write(message.topic, message.data, message.log_time, message.publish_time, 0)
+                except BagError:
+                    self._found.unfinished.append(path.name)
+        except BagError as error:
+            raise BagError(f"{path}: {error}") from None
+
     def finish(self) -> None:
+        if self._writer is None and self._foreign:
+            kinds = printable(", ".join(sorted(self._foreign)))
+            raise BagError(f"{self._found.source} holds no ROS 2 messages: they are encoded as {kinds}")
         if self._writer is None:
             large = f" ({self._found.too_large} chunks are larger than --max-chunk-mb)" if self._found.too_large else ""
             raise BagError(f"{self._found.source} holds no readable message{large}: there is nothing to recover")
@@ -175,6 +198,10 @@ class _Copy:
             self._custom_data.update(record.metadata)
 
     def _add_channel(self, channel: Channel) -> None:
+        if channel.message_encoding != "cdr":
+            self._foreign[channel.message_encoding[:40] or "nothing"] += 1
+            self._strangers.add(channel.id)
+            return
         schema = self._schemas.get(channel.schema_id) or Schema(0, b"", "", "unknown/msg/Unknown")
         topic = mcap_topic(channel, schema)
         if self._topics.get(topic.name, topic).type != topic.type:
@@ -183,15 +210,23 @@ class _Copy:
         self._topics.setdefault(topic.name, topic)
 
     def _add_message(self, content: bytes) -> None:
-        name = None if len(content) < MESSAGE.size else self._channels.get(MESSAGE.unpack_from(content)[0])
+        if len(content) < MESSAGE.size:
+            raise DamagedError("message of an unknown channel")
+        channel, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+        if channel in self._strangers:
+            self._found.foreign += 1
+            return
+        name = self._channels.get(channel)
         if name is None:
             raise DamagedError("message of an unknown channel")
-        _, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+        self._write(name, content[MESSAGE.size :], log_time, publish_time, sequence)
+
+    def _write(self, name: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
         if self._writer is None:
             self._writer = BagWriter(self._folder, max_file_bytes=self._max_file_bytes)
         if name not in self._writer.message_counts:
             self._writer.add_topic(self._topics[name])
-        self._writer.write(name, content[MESSAGE.size :], log_time, publish_time, sequence)
+        self._writer.write(name, data, log_time, publish_time, sequence)
         found = self._found
         found.messages[name] += 1
         found.start = log_time if found.start is None else min(found.start, log_time)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -80,6 +81,32 @@ class SqliteReader:
         """Close the file."""
         with suppress(Exception):
             self._reader.close()
+
+
+def with_log(path: Path, log: Path, folder: Path, limits: Limits) -> Path:
+    """Return a copy of an sqlite3 file, with what stands in its write-ahead log, in a folder for it.
+
+    Raises:
+        DamagedError: The log is damaged, or both need more than half of the disk's free space.
+        OSError: They cannot be copied.
+    """
+    copy = folder / path.name
+    left = shutil.disk_usage(folder).free // 2
+    for source, name in ((path, copy), (log, copy.with_name(f"{copy.name}-wal"))):
+        with open_regular(source, left) as (stream, size), name.open("xb") as out:
+            shutil.copyfileobj(stream, out)
+            left -= size
+    apsw.hard_heap_limit(2 * limits.open_bytes)
+    try:
+        connection = apsw.Connection(str(copy))
+        try:
+            for _ in connection.execute("pragma journal_mode=delete"):  # which writes the log into the file
+                pass
+        finally:
+            connection.close()
+    except apsw.Error as error:
+        raise DamagedError(reason(error)) from None
+    return copy
 
 
 def _sqlite_topic(connection: Any) -> Topic:

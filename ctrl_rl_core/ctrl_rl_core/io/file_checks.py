@@ -24,6 +24,8 @@ LONGEST_VALUE = 60
 LONGEST_ERROR = 400
 """Characters of an error, without the file's name."""
 _LONGEST_NAME = 200
+_POINTER, _POINTER_SIZE = b"version https://git-lfs.github.com/spec/", 1024
+"""How a file begins that stands for another one, and how long it is at most."""
 
 
 class FileError(CtrlRlError):
@@ -87,7 +89,7 @@ def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[Bi
     """Open a regular file of at most `largest` bytes; give it and its size [bytes].
 
     Raises:
-        FileError: There is no such file, it is a folder, a pipe or a device, or it is too large.
+        FileError: There is no such file, it is a folder, a pipe, a device or a pointer of Git LFS, or it is too large.
         OSError: It cannot be read.
     """
     try:
@@ -104,6 +106,9 @@ def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[Bi
         if state.st_size > largest:
             raise FileError(f"is too large: {state.st_size:,} bytes, at most {largest:,.0f} are read")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
+            if state.st_size < _POINTER_SIZE and file.read(len(_POINTER)) == _POINTER:
+                raise FileError("is a Git LFS pointer in place of the file: run git lfs pull")
+            file.seek(0)
             yield file, state.st_size
     finally:
         os.close(descriptor)
