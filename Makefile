@@ -3,7 +3,7 @@
 
 SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
-LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_benchmarks ctrl_rl_offline ctrl_rl_robot ctrl_rl_bringup
+LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_benchmarks ctrl_rl_offline ctrl_rl_robot ctrl_rl_bringup ctrl_rl
 
 .PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack referee behaviour navigator docs picture results lock clean
 

@@ -38,6 +38,7 @@ MAY_IMPORT = {
         *("ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", "ctrl_rl_training", "ttr_reward_node", "oc_baseline_node"),
     },
     "ctrl_rl_robot": {"ctrl_rl_core", "ctrl_rl_training", "ctrl_rl_offline", "ctrl_rl_safety", "ttr_reward_node"},
+    "ctrl_rl": {"ctrl_rl_core", "ttr_reward_node", "ctrl_rl_safety", "ctrl_rl_offline"},
     "ctrl_rl_bringup": {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")

@@ -10,6 +10,7 @@ from ctrl_rl_core import (
     Interval,
     NavigationTask,
     OccupancyMap,
+    Quantity,
     Region,
     Shape,
     System,
@@ -26,7 +27,7 @@ from ttr_reward_node.solvers.decomposition import find_decomposition, solve_deco
 from ttr_reward_node.solvers.solver import check_reached, solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
 
-Axes = Sequence[Axis] | Mapping[str, tuple[float, float, int]]
+Axes = Sequence[Axis] | Mapping[str, tuple[float, float, int] | int]
 Target = Region | Mapping[str, tuple[float, float]]
 Obstacles = OccupancyMap | Sequence[Shape]
 
@@ -53,14 +54,15 @@ def solve_value(
     True
     >>> value = ctrl_rl.solve(                                              # a system of one's own
     ...     "dubins_car",
-    ...     axes={"x": (-2.0, 2.0, 41), "y": (-2.0, 2.0, 41), "theta": (-3.15, 3.15, 24)},
+    ...     axes={"x": (-2.0, 2.0, 41), "y": (-2.0, 2.0, 41), "theta": 24},
     ...     target={"x": (1.0, 1.4), "y": (-0.2, 0.2)},
     ...     obstacles=[ctrl_rl.Box((0.0, 0.0), (0.4, 1.6))],
     ... )
 
     Args:
         problem: Navigation task, its name or its file; or with `axes` and `target` a system, or the name of one.
-        axes: Grid of the system: (lower, upper, count) by state name, or an axis for each state.
+        axes: Grid of the system by state name: (lower, upper, count), or the count alone for a state with bounds of its
+            own, such as an angle; or an axis for each state.
         target: Goal: (lower, upper) by state name, a state left out is free; or a region.
         obstacles: Obstacles of the system in the plane of its positions: shapes, or a map whose occupied cells block.
         inflation: Distance by which walls and obstacles are widened [m], such as the robot's radius; that of the task's
@@ -129,8 +131,9 @@ def _axes(system: System, axes: Axes) -> tuple[Axis, ...]:
         return tuple(axes)
     if set(axes) != set(system.state_names):
         raise TimeToReachError(f"axes are {', '.join(axes)}; the states are {', '.join(system.state_names)}")
-    return tuple(
-        Axis(state.name, state.unit, float(low), float(high), int(count), state.periodic)
-        for state in system.states
-        for low, high, count in (axes[state.name],)
-    )
+    return tuple(_axis(state, axes[state.name]) for state in system.states)
+
+
+def _axis(state: Quantity, given: tuple[float, float, int] | int) -> Axis:
+    low, high, count = (state.lower, state.upper, given) if isinstance(given, int) else given
+    return Axis(state.name, state.unit, float(low), float(high), int(count), state.periodic)

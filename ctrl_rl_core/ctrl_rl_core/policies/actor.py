@@ -88,7 +88,7 @@ class Actor:
         scaled = (np.asarray(observation, dtype=np.float32) - self.middle) / self.unit
         return self.low + 0.5 * (self.scaled_action(scaled) + 1.0) * (self.high - self.low)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the policy; the file is there whole or not at all."""
         tensors = {name: getattr(self, name) for name in _VECTORS}
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -103,7 +103,7 @@ class Actor:
         if self.interface is not None:
             header["interface"] = self.interface.model_dump(exclude_defaults=True)
         plain = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
-        atomic_write(path, encode_tensors(plain, _HEADER_KEY, header))
+        atomic_write(Path(path), encode_tensors(plain, _HEADER_KEY, header))
 
     @classmethod
     def load(cls, path: Path | str) -> Self:

@@ -22,7 +22,15 @@ def load_actor_policy(path: Path) -> NetworkPolicy:
     Raises:
         PolicyError: It is no such file, or does not say what it observes.
     """
-    actor = Actor.load(path)
+    return policy_of(Actor.load(path))
+
+
+def policy_of(actor: Actor) -> NetworkPolicy:
+    """Return an actor as a policy that drives a robot.
+
+    Raises:
+        PolicyError: The actor does not say what it observes.
+    """
     manifest = actor.interface or _known_interface(actor)
 
     def network(observation: NDArray[np.float32]) -> NDArray[np.float32]:

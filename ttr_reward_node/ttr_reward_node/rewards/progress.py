@@ -179,6 +179,16 @@ class TimeToReach:
         times = self.value.value(np.clip(states, *self.domain))
         return np.where(np.isnan(times), np.inf, times)
 
+    def check_states(self, names: Sequence[str]) -> None:
+        """Refuse states of other components than the value's.
+
+        Raises:
+            TimeToReachError: They are others.
+        """
+        if tuple(names) != tuple(self.value.state_names):
+            known = ", ".join(self.value.state_names)
+            raise TimeToReachError(f"the time to reach is of the states {known}; here they are {', '.join(names)}")
+
     def pay(self) -> Pay:
         """Return a new pay that has no episode yet."""
         return PAYS[self.kind](self.longest, self.per_second, self.discount)
