@@ -5,7 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.results import Origin, as_markdown, with_others
+from ctrl_rl_core.io.results import Origin, with_others
+from ctrl_rl_core.io.results_page import heading, results_page
 
 from ctrl_rl_core import Result, ResultsError, read_benchmarks, read_results, write_results
 
@@ -28,8 +29,12 @@ def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
     write_results(tmp_path / "corridor.json", "corridor", [0, 1], rows)
     row = {"name": "look-up", "value": 0.286, "unit": "us", "against": "scipy, 42 us", "ratio": 148.0}
     (tmp_path / "bench.json").write_text(json.dumps([row]))
-    page = as_markdown(read_results(tmp_path), read_benchmarks(tmp_path / "bench.json"))
-    assert "## corridor" in page
+    page = results_page(tmp_path)
+    assert "## Corridor" in page
+    assert (
+        "2 rows, 2 seeds, mean and standard deviation over them; in brackets the thesis's; [data](results/corridor.json)"
+        in page
+    )
     assert "| method | time [s] | goal reached |" in page
     assert "| edmd | 3 ± 1 (3.5) | 1 ± 0 |" in page
     assert "| look-up | 0.286 us | scipy, 42 us | 148 |" in page
@@ -101,14 +106,27 @@ def test_each_row_keeps_the_command_and_commit_that_measured_it(
     commit = experiment.commit
     assert [each.command for each in origins["cart"]] == ["train first", "train second"]
     assert origins["pole"] == [Origin(command="train third", commit=commit)]
-    page = as_markdown([experiment])
+    page = results_page(file.parent)
     assert f"    train second\n\nCommit {commit}: cart.\n" in page
     assert f"    train third\n\nCommit {commit}: pole.\n" in page
-    assert "2 rows, 2 seeds, mean and standard deviation over them." in page
+    assert "2 rows, 2 seeds, mean and standard deviation over them;" in page
 
 
 def test_rows_whose_command_is_not_known_are_called_older(tmp_path: Path) -> None:
     file = tmp_path / "returns.json"
     write_results(file, "returns", [0], [Result("cart", "return", "1", [1.0])])
     write_results(file, "returns", [0], with_others(file, [Result("pole", "return", "1", [2.0])]))
-    assert "2 rows; the other rows are older." in as_markdown(read_results(tmp_path))
+    assert "The other rows are older." in results_page(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("stem", "words"),
+    [
+        ("koopman_figure_4.3_cheetah_run", "Koopman control, figure 4.3: cheetah run"),
+        ("oc_training_quad_trap", "Learning with an optimal-control baseline: quadrotor trap"),
+        ("ttr_training_car_ttr", "Learning by the time to reach: car"),
+        ("barn", "BARN"),
+    ],
+)
+def test_headings_are_words(stem: str, words: str) -> None:
+    assert heading(stem) == words

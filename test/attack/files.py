@@ -19,7 +19,7 @@ import _mutations
 import numpy as np
 from _attack import Attack
 from _mutations import Mutate, broken
-from ctrl_rl_core.io.results import as_markdown
+from ctrl_rl_core.io.results_page import benchmark_lines, results_page
 from ctrl_rl_core.tasks.task import FOLDER
 from ctrl_rl_core.values.value_grid import Axis
 
@@ -30,7 +30,6 @@ from ctrl_rl_core import (
     load_navigation_task,
     load_task,
     read_benchmarks,
-    read_results,
     task_names,
     write_results,
 )
@@ -265,7 +264,7 @@ def _draw(module: str, function: str) -> Load:
 KINDS = (
     Kind("task", _tasks, _mutations.change_yaml, _load_task),
     Kind("grid", _grids, _mutations.change_tensors, _load_grid),
-    Kind("results", _results, _mutations.change_json, lambda path: as_markdown(read_results(path.parent))),
+    Kind("results", _results, _mutations.change_json, lambda path: results_page(path.parent)),
     Kind("team", _teams, _mutations.change_yaml, _load_team),
     Kind("decomposed", _decomposed, _mutations.change_tensors, _load_decomposed),
     Kind("koopman", _koopman("curved_corridor"), _mutations.change_tensors, _load_koopman),
@@ -298,7 +297,7 @@ KINDS = (
         _mutations.change_json,
         _draw("ttr_reward_node.training.cli", "_figures"),
     ),
-    Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: as_markdown([], read_benchmarks(path))),
+    Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: benchmark_lines(read_benchmarks(path))),
 )
 
 ATTACKS = tuple(

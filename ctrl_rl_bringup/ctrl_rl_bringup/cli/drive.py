@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least
-from ctrl_rl_core.io.results import as_markdown
+from ctrl_rl_core.io.results_page import results_page
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
@@ -20,8 +21,6 @@ from ctrl_rl_core import (
     atomic_write,
     load_navigation_task,
     parse_options,
-    read_benchmarks,
-    read_results,
     write_results,
 )
 from ctrl_rl_msgs.msg import TaskOutcome
@@ -238,8 +237,8 @@ def results() -> int:
     options = parse_options("results", ResultsOptions)
 
     def work() -> int:
-        page = as_markdown(read_results(options.folder), read_benchmarks(options.folder / "bench.json"))
-        atomic_write(options.page, page)
+        link = os.path.relpath(options.folder, options.page.parent)
+        atomic_write(options.page, results_page(options.folder, link))
         return 0
 
     return run_here("results", work)

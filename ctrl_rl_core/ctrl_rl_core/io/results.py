@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +19,7 @@ from ctrl_rl_core.io import checked_json
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.file_checks import raise_as
 from ctrl_rl_core.io.schema import Anything, Name, Schema
+from ctrl_rl_core.processes.exclusive_lock import folder_lock
 
 
 class ResultsError(CtrlRlError):
@@ -177,8 +179,42 @@ def write_results(
     }
     if figures is not None:
         content["figures"] = dict(figures)
+    with results_lock(path):
+        atomic_write(path, _dump(checked_json.with_digest(content)))
+
+
+def add_results(
+    path: Path,
+    experiment: str,
+    seeds: Sequence[int],
+    rows: Sequence[Result],
+    figures: Mapping[str, Any] | None = None,
+    *,
+    same_metric: bool = False,
+) -> None:
+    """Write rows beside those that a results file holds, whoever else writes to it; arguments as of `write_results`.
+
+    Args:
+        path: Path of the file; it need not be there.
+        experiment: Name of the experiment.
+        seeds: That it ran with.
+        rows: New rows, see `with_others`.
+        figures: Data of its plots, as JSON.
+        same_metric: As in `with_others`.
+
+    Raises:
+        ResultsError: The file that is there cannot be read.
+    """
+    with results_lock(path):
+        write_results(path, experiment, seeds, with_others(path, rows, same_metric), figures)
+
+
+@contextmanager
+def results_lock(path: Path) -> Iterator[None]:
+    """Keep other processes from writing results beside this file while it is read, added to and written."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, _dump(checked_json.with_digest(content)))
+    with folder_lock(path.parent):
+        yield
 
 
 def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -> list[Result]:
@@ -249,69 +285,6 @@ def read_benchmarks(file: Path) -> list[Benchmark]:
         return []
     with raise_as(ResultsError, file):
         return _BENCHMARKS.validate_python(checked_json.read_json(file))
-
-
-def as_markdown(experiments: Sequence[Experiment], benchmarks: Sequence[Benchmark] = ()) -> str:
-    """Return experiments and benchmarks as a page of tables, each figure beside the thesis's or a peer's."""
-    lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
-    for experiment in experiments:
-        lines += ["", f"## {experiment.experiment}", "", *_head(experiment), "", *_table(experiment.rows)]
-    if benchmarks:
-        lines += ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
-        lines += ["", "| what | ours | against | ratio |", "|---|---|---|---|"]
-        for row in benchmarks:
-            ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
-            lines.append(f"| {row.name} | {row.value:.4g} {row.unit} | {row.against} | {ratio} |")
-    return "\n".join(lines) + "\n"
-
-
-def _head(experiment: Experiment) -> list[str]:
-    """Return the commands that measured an experiment's rows, and how its figures are written."""
-    methods: dict[Origin, dict[str, None]] = {}
-    for row in experiment.rows:
-        for origin in row.origins:
-            methods.setdefault(origin, {})[row.method] = None
-    if not methods:
-        return [f"    {experiment.command}", "", f"Commit {experiment.commit}{_notation(experiment)}."]
-    lines: list[str] = []
-    for origin, measured in methods.items():
-        lines += [f"    {origin.command}", "", f"Commit {origin.commit}: {'; '.join(measured)}.", ""]
-    older = "" if all(row.origins for row in experiment.rows) else "; the other rows are older"
-    return [*lines, f"{len(experiment.rows)} rows{_notation(experiment)}{older}."]
-
-
-def _notation(experiment: Experiment) -> str:
-    """Return how many seeds stand behind the figures, and what is written beside a mean."""
-    remark = ""
-    if len(experiment.seeds) > 1:
-        counts: dict[str, int] = {}
-        for row in experiment.rows:
-            counts[row.method] = max(counts.get(row.method, 0), len(row.values))
-        most = max(counts.values(), default=0)
-        up_to = "" if len(set(counts.values())) <= 1 else "up to "
-        remark += f", {up_to}{most} seeds, mean and standard deviation over them"
-    elif any(len(row.values) > 1 for row in experiment.rows):
-        remark += ", mean and standard deviation"
-    if any(row.thesis is not None for row in experiment.rows):
-        remark += "; in brackets the thesis's"
-    return remark
-
-
-def _table(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each method, a column for each metric."""
-    units = {row.metric: "" if row.unit == "1" else f" [{row.unit}]" for row in rows}
-    cells = {(row.method, row.metric): _cell(row) for row in rows}
-    head = ["method", *(f"{metric}{unit}" for metric, unit in units.items())]
-    lines = [head, ["---"] * len(head)]
-    methods = dict.fromkeys(row.method for row in rows)
-    lines += [[method, *(cells.get((method, metric), "") for metric in units)] for method in methods]
-    return [f"| {' | '.join(line)} |" for line in lines]
-
-
-def _cell(row: Row) -> str:
-    spread = f" ± {row.std:.2g}" if len(row.values) > 1 else ""
-    thesis = "" if row.thesis is None else f" ({row.thesis:g})"
-    return f"{row.mean:.4g}{spread}{thesis}"
 
 
 def _dump(content: Mapping[str, Any]) -> str:
