@@ -1,11 +1,14 @@
 """Results as files and as a page."""
 
 import json
-from dataclasses import replace
+import subprocess
+import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.results import Origin, with_others
+from ctrl_rl_core.io.outcome_log import OutcomeLog
+from ctrl_rl_core.io.results import Origin, read_experiment, with_others
 from ctrl_rl_core.io.results_page import heading, results_page
 
 from ctrl_rl_core import Result, ResultsError, read_benchmarks, read_results, write_results
@@ -31,10 +34,8 @@ def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
     (tmp_path / "bench.json").write_text(json.dumps([row]))
     page = results_page(tmp_path)
     assert "## Corridor" in page
-    assert (
-        "2 rows, 2 seeds, mean and standard deviation over them; in brackets the thesis's; [data](results/corridor.json)"
-        in page
-    )
+    assert "2 rows, 2 seeds, mean and standard deviation over them; in brackets the thesis's; " in page
+    assert "[data](results/corridor.json)" in page
     assert "| method | time [s] | goal reached |" in page
     assert "| edmd | 3 ± 1 (3.5) | 1 ± 0 |" in page
     assert "| look-up | 0.286 us | scipy, 42 us | 148 |" in page
@@ -130,3 +131,63 @@ def test_rows_whose_command_is_not_known_are_called_older(tmp_path: Path) -> Non
 )
 def test_headings_are_words(stem: str, words: str) -> None:
     assert heading(stem) == words
+
+
+ADD = """
+import sys
+from pathlib import Path
+from ctrl_rl_core.io.results import Result, add_results
+for k in range(40):
+    add_results(Path(sys.argv[1]), "shared", [0], [Result(f"{sys.argv[2]} {k}", "success", "1", [float(k)])])
+"""
+
+
+def test_two_commands_that_write_one_file_lose_no_row(tmp_path: Path) -> None:
+    file = tmp_path / "shared.json"
+    both = [subprocess.Popen([sys.executable, "-c", ADD, file, name]) for name in ("one", "two")]
+    assert [each.wait(timeout=60) for each in both] == [0, 0]
+    kept = read_experiment(file)
+    assert kept is not None
+    assert {row.method for row in kept.rows} == {f"{name} {k}" for name in ("one", "two") for k in range(40)}
+
+
+@dataclass(frozen=True)
+class Drive:
+    world: int
+    way: float
+
+
+def test_every_change_of_an_outcome_log_is_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "log.jsonl"
+    log = OutcomeLog(file, {"seed": 1}, Drive, ResultsError)
+    for k in range(4):
+        log.add(Drive(k, 1.0 + k))
+    whole = file.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    assert OutcomeLog(file, {"seed": 1}, Drive, ResultsError).outcomes == log.outcomes
+    changed = [whole[:at] + bytes((whole[at] ^ 1 << at % 7,)) + whole[at + 1 :] for at in range(len(whole) - 1)]
+    changed += [b"".join(lines[:2] + lines[3:]), b"".join([*lines[:2], lines[3], lines[2]])]
+    taken = []
+    for content in changed:
+        file.write_bytes(content)
+        try:
+            found = OutcomeLog(file, {"seed": 1}, Drive, ResultsError).outcomes
+        except ResultsError:
+            continue
+        taken += [] if found == log.outcomes[: len(found)] else [content]
+    assert not taken
+
+
+def test_one_process_at_a_time_adds_outcomes(tmp_path: Path) -> None:
+    file = tmp_path / "log.jsonl"
+    first = OutcomeLog(file, {}, Drive, ResultsError)
+    second = OutcomeLog(file, {}, Drive, ResultsError)
+    first.add(Drive(0, 1.0))
+    with pytest.raises(ResultsError, match="another call adds to it"):
+        second.add(Drive(0, 1.0))
+    del first
+    with pytest.raises(ResultsError, match="another call adds to it"):  # it has added what this one does not know
+        second.add(Drive(0, 1.0))
+    third = OutcomeLog(file, {}, Drive, ResultsError)
+    third.add(Drive(1, 2.0))
+    assert third.outcomes == [Drive(0, 1.0), Drive(1, 2.0)]

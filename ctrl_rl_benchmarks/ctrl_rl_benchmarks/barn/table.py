@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from ctrl_rl_core.io.results import read_experiment
+from ctrl_rl_core.io.results import read_experiment, results_lock
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ctrl_rl_benchmarks.barn.drive import BarnDrive, End
@@ -33,6 +33,11 @@ class BarnTable:
         """
         self._file, self._seed = file, seed
         self._drives: dict[str, dict[int, BarnDrive]] = {}
+        self._take()
+
+    def _take(self) -> None:
+        """Take the drives of the file that are not known yet: another command may add to it, too."""
+        file, seed = self._file, self._seed
         if file is None or not file.exists():
             return
         there = read_experiment(file)
@@ -44,7 +49,10 @@ class BarnTable:
             told = _DRIVES.validate_python(there.figures.get("drives"))
         except ValidationError:
             raise BenchmarkError(f"{file}: its drives are damaged: give another file") from None
-        self._drives = {method: {each[0]: BarnDrive(*each) for each in drives} for method, drives in told.items()}
+        for method, drives in told.items():
+            here = self._drives.setdefault(method, {})
+            for each in drives:
+                here.setdefault(each[0], BarnDrive(*each))
 
     def has(self, method: str, world: int) -> bool:
         """Tell whether a drive is there already."""
@@ -53,7 +61,10 @@ class BarnTable:
     def add(self, method: str, drive: BarnDrive) -> None:
         """Take a drive and write the file, so that an interrupted command loses nothing."""
         self._drives.setdefault(method, {})[drive.world] = drive
-        if self._file is not None:
+        if self._file is None:
+            return
+        with results_lock(self._file):
+            self._take()
             drives = {
                 name: [[each.world, each.end, each.seconds, each.length, each.distance] for each in self._sorted(name)]
                 for name in self._drives

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.io.results import with_others
+from ctrl_rl_core.io.results import add_results, results_lock
 from ctrl_rl_training.experiments.figure_data import Figures, SuccessCurve
 from ctrl_rl_training.experiments.results import (
     collect_rows,
@@ -20,7 +20,7 @@ from ctrl_rl_training.experiments.results import (
 from pydantic import Field
 
 from ctrl_rl_benchmarks.experiments.runs import LadderRun
-from ctrl_rl_core import Result, write_results
+from ctrl_rl_core import Result
 
 
 class LadderFigures(Figures):
@@ -56,8 +56,9 @@ def write(path: Path, seeds: int, rows: Sequence[Result], curves: Mapping[str, A
     Raises:
         ResultsError: The file that is there cannot be read, or is not the ladder's.
     """
-    figures = {"task": "ladder", "curves": {**read_curves(path), **curves}}
-    write_results(path, "ladder", range(seeds), with_others(path, rows), figures)
+    with results_lock(path):
+        figures = {"task": "ladder", "curves": {**read_curves(path), **curves}}
+        add_results(path, "ladder", range(seeds), rows, figures)
 
 
 def as_table(rows: Sequence[Result]) -> str:

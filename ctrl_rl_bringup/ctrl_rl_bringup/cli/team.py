@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 from ctrl_rl_core.command import at_least
+from ctrl_rl_core.io.checked_json import with_digest
 from option_coordinator.teams.team_file import Work
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
@@ -113,7 +114,7 @@ def _report(config: TeamConfig) -> int:
     idle = [name for name, option in team.options.items() if option.work is Work.WAIT]
     run = read_team(config.drive.bag, idle)
     file, picture = config.folder / "report.json", config.folder / "timeline.png"
-    atomic_write(file, json.dumps(run.as_dict(), indent=1) + "\n")
+    atomic_write(file, json.dumps(with_digest(run.as_dict()), indent=1) + "\n")
     from ctrl_rl_bringup.team.plot import draw_team  # matplotlib takes long to load
 
     draw_team(run, load_navigation_task(config.task), team, picture)

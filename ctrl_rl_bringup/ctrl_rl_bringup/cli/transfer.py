@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import tyro
 from ctrl_rl_core.command import CommandError, OptionalFileToWrite, at_least
 from ctrl_rl_core.io.file_checks import raise_as, read_bytes
-from ctrl_rl_core.io.results import read_experiment
+from ctrl_rl_core.io.results import read_experiment, results_lock
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.policy import shipped_policies
 from tqdm import tqdm
@@ -137,13 +137,18 @@ class _Table:
         self._file, self._seeds = file, seeds
         self._rows: dict[tuple[str, str], Result] = {}
         self._digests: dict[str, str] = {}
+        self._take()
+
+    def _take(self) -> None:
+        """Take the rows of the file that are not known yet: another command may add to it, too."""
+        file = self._file
         there = read_experiment(file) if file is not None and file.exists() else None
         if there is None:
             return
         for row in there.rows:
-            self._rows[row.method, row.metric] = Result(row.method, row.metric, row.unit, row.values)
+            self._rows.setdefault((row.method, row.metric), Result(row.method, row.metric, row.unit, row.values))
         told = there.figures.get(_DIGESTS) if isinstance(there.figures, Mapping) else None
-        self._digests |= told if isinstance(told, Mapping) else {}
+        self._digests = {**(told if isinstance(told, Mapping) else {}), **self._digests}
 
     def known(self, cell: Cell) -> Cell | None:
         """Return a cell with its figures, if it was driven before."""
@@ -156,6 +161,9 @@ class _Table:
         """Write a cell, after which an end of the command loses nothing."""
         self._rows |= {(cell.method, row.metric): row for row in cell.results()}
         self._digests[cell.method] = cell.digest
-        if self._file is not None:
+        if self._file is None:
+            return
+        with results_lock(self._file):
+            self._take()
             digests = {_DIGESTS: self._digests}
             write_results(self._file, "transfer", self._seeds, list(self._rows.values()), digests)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ctrl_rl_core.io.checked_json import with_digest
 from ctrl_rl_core.io.checked_tensors import kind_of
 
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
@@ -55,7 +56,7 @@ def drive(options: DriveConfig) -> DriveReport:
 def write_artifacts(result: DriveReport, folder: Path) -> Artifacts:
     """Write report and picture of a drive into a folder."""
     out = Artifacts(folder / "report.json", folder / "path.png")
-    atomic_write(out.report, json.dumps(result.as_dict(), indent=2) + "\n")
+    atomic_write(out.report, json.dumps(with_digest(result.as_dict()), indent=2) + "\n")
     from ctrl_rl_bringup.corridor.plot import draw_drive  # matplotlib takes long to load
 
     draw_drive(result, out.picture)

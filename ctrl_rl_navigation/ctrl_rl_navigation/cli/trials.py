@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, with_others, write_results
+from ctrl_rl_core.io.results import Result, add_results
 
 from ctrl_rl_core import OccupancyMap, find_robot
 from ctrl_rl_navigation.cli.goals import GoalMaker
@@ -121,7 +121,7 @@ def _work(options: Options) -> int:
             outcomes = log.outcomes[: options.goals]
             found = rows_of(_method(name, options, engine), outcomes)
             if options.results is not None:
-                write_results(options.results, "navigator", [options.seed], with_others(options.results, found))
+                add_results(options.results, "navigator", [options.seed], found)
             failed += sum(each.trial.reachable and not each.arrived for each in outcomes)
             print(f"{name}: " + ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in found))
     return 0 if failed == 0 else 1

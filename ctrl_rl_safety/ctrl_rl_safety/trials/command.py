@@ -19,7 +19,7 @@ from ctrl_rl_core.command import (
     some_of,
 )
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, with_others, write_results
+from ctrl_rl_core.io.results import Result, add_results
 from ctrl_rl_core.policies.policy import shipped_policies
 from tqdm import tqdm
 
@@ -171,7 +171,7 @@ def _work(options: Options) -> int:
                 figures = ", ".join(f"{row.metric} {np.mean(row.values):.3f}" for row in rows)
                 print(f"{cell.method}{suffix}: {figures}")
             if options.results is not None:
-                write_results(options.results, _EXPERIMENT, [options.seed], with_others(options.results, rows))
+                add_results(options.results, _EXPERIMENT, [options.seed], rows)
     hit = sum(each.avoidable for cell, played in outcomes.items() for each in played if cell.guard not in UNGUARDED)
     print(f"{hit} avoidable collisions behind the filter")
     return 0 if hit == 0 else 1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
-from ctrl_rl_core.io.results import with_others
+from ctrl_rl_core.io.results import results_lock, with_others
 from ctrl_rl_training.cli import NotNegative, Positive, make_command, make_old_command, one_of
 
 from ctrl_rl_core import write_results
@@ -109,10 +109,11 @@ def _learn(options: Train) -> int:
         seeds = [run.seed for run in runs]
         if options.keep == "last":
             last = collect_last(problem, results)
-            last_curves = collect_curves(title, last[0].terms, results, options.results)
-            rows = with_others(options.results, last, same_metric=True)
-            seeds = sorted({*seeds, *(seed for row in rows for seed in row.seeds)})
-            write_results(options.results, options.results.stem, seeds, rows, last_curves)
+            with results_lock(options.results):
+                last_curves = collect_curves(title, last[0].terms, results, options.results)
+                rows = with_others(options.results, last, same_metric=True)
+                seeds = sorted({*seeds, *(seed for row in rows for seed in row.seeds)})
+                write_results(options.results, options.results.stem, seeds, rows, last_curves)
         else:
             write_results(options.results, f"koopman_{title}", seeds, rows, figures)
         print(f"results    {options.results}")
