@@ -14,7 +14,8 @@ _INLINE = re.compile(r"\$`([^`\n]+)`\$")
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Return a page's text with its formulas as MathML."""
-    text = _INLINE.sub(lambda match: convert(match[1]), markdown)
+    # Markdown takes <math> at the start of a line for a block, which would end the paragraph there.
+    text = _INLINE.sub(lambda match: f"<span>{convert(match[1])}</span>", markdown)
     parts = _CODE.split(text)
     return "".join(part if index % 2 else _BLOCK.sub(_block, part) for index, part in enumerate(parts))
 
