@@ -210,3 +210,21 @@ def test_a_wrong_file_is_one_line_that_names_file_and_key(
 
 def test_an_unknown_robot_is_refused_by_name(tmp_path: Path) -> None:
     check_refused("no robot 'nobody': there are jackal", "preflight", "--robot", "nobody", "--output", tmp_path)
+
+
+def test_an_installed_package_offers_a_robot_by_name(
+    courier: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "installed"
+    offer = package / "couriers-1.0.dist-info"
+    offer.mkdir(parents=True)
+    (package / "couriers.py").write_text(
+        f"from ctrl_rl_core import Robot\nCOURIER = Robot.load({str(courier)!r})\nNOT = 7\n"
+    )
+    (offer / "METADATA").write_text("Metadata-Version: 2.1\nName: couriers\nVersion: 1.0\n")
+    (offer / "entry_points.txt").write_text("[ctrl_rl.robots]\ncourier = couriers:COURIER\nnone = couriers:NOT\n")
+    monkeypatch.syspath_prepend(package)
+    assert find_robot("courier") == find_robot(courier)
+    assert find_model("courier").radius == 0.2
+    with pytest.raises(RobotError, match=r"robot 'none' \(couriers:NOT\) is no"):
+        find_robot("none")

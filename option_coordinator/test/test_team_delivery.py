@@ -129,7 +129,7 @@ def test_five_robots_find_room_in_every_episode():
         simulation.reset(np.random.default_rng(seed))
         places = simulation._poses[:, :2]
         distances = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(5, 1)]
-        assert distances.min() >= 0.35
+        assert distances.min() >= 2.0 * 0.123 + 0.1 - 1e-9
 
 
 @pytest.mark.parametrize("name", shipped_policies())
