@@ -134,7 +134,7 @@ def test_a_cut_image_and_a_map_without_cells_are_refused(write, tmp_path: Path) 
     path = write(np.zeros((50, 50), np.uint8))
     image = tmp_path / "map.png"
     image.write_bytes(image.read_bytes()[:40])
-    with pytest.raises(MapError, match="is no image"):
+    with pytest.raises(MapError, match="is a damaged PNG"):
         OccupancyMap.load(path)
     for cells in (np.zeros((0, 3), np.int8), np.zeros(3, np.int8)):
         with pytest.raises(MapError, match="cells"):
@@ -148,3 +148,40 @@ def test_the_map_of_a_real_office(real_drive: Path) -> None:
     assert office.size == pytest.approx((27.09, 51.18))
     counts = {value: int(np.count_nonzero(office.cells == value)) for value in (0, 100, -1)}
     assert counts == {0: 303533, 100: 16871, -1: 1220114}
+
+
+def png_map(folder: Path, image: Image.Image) -> Path:
+    image.save(folder / "room.png")
+    (folder / "room.yaml").write_text("{image: room.png, resolution: 0.1, origin: [0, 0, 0]}")
+    return folder / "room.yaml"
+
+
+@pytest.mark.fault
+def test_no_single_flip_of_a_png_gives_another_map(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    shades = random.choice(np.array([0, 205, 254], np.uint8), size=(20, 30))
+    path = png_map(tmp_path, Image.fromarray(shades))
+    image, whole = tmp_path / "room.png", (tmp_path / "room.png").read_bytes()
+    right = OccupancyMap.load(path)
+    for at in range(len(whole)):
+        image.write_bytes(whole[:at] + bytes((whole[at] ^ 1 << int(random.integers(8)),)) + whole[at + 1 :])
+        with pytest.raises(MapError):
+            assert OccupancyMap.load(path).is_same(right)
+            raise MapError("the flip changes nothing")
+    image.write_bytes(whole[:-20])
+    with pytest.raises(MapError, match="damaged PNG"):
+        OccupancyMap.load(path)
+
+
+def test_an_opaque_alpha_channel_changes_nothing(tmp_path: Path) -> None:
+    shades = np.array([[0, 205, 254]], np.uint8)
+    plain = OccupancyMap.load(png_map(tmp_path, Image.fromarray(shades)))
+    opaque = Image.fromarray(np.dstack([shades] * 3 + [np.full_like(shades, 255)]))
+    assert OccupancyMap.load(png_map(tmp_path, opaque)).is_same(plain)
+
+
+def test_a_map_with_another_resolution_is_another_map() -> None:
+    cells = np.zeros((3, 4), np.int8)
+    assert OccupancyMap(cells, 0.1).is_same(OccupancyMap(cells, 0.1))
+    assert not OccupancyMap(cells, 0.1).is_same(OccupancyMap(cells, 0.05))
+    assert not OccupancyMap(cells, 0.1).is_same(OccupancyMap(cells, 0.1, (1.0, 0.0, 0.0)))

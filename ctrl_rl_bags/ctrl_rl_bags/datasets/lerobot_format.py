@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from ctrl_rl_core.io.checked_png import check_png
+from ctrl_rl_core.io.file_checks import FileError
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -259,9 +261,10 @@ def _png(picture: NDArray[np.uint8]) -> bytes:
 
 def _picture(content: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     try:
+        check_png(io.BytesIO(content))
         with Image.open(io.BytesIO(content), formats=("PNG",)) as picture:
             if (picture.height, picture.width) != shape[:2]:
                 raise DatasetError(f"a picture has {picture.width} x {picture.height} pixels, not as the layout says")
             return np.asarray(picture.convert("RGB"), dtype=np.uint8)
-    except (OSError, TypeError, ValueError, SyntaxError):
+    except (FileError, OSError, TypeError, ValueError, SyntaxError):
         raise DatasetError("a picture is no PNG file") from None

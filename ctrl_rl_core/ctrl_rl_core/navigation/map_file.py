@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, Strict, model_validator
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.atomic_write import atomic_write
+from ctrl_rl_core.io.checked_png import check_png
 from ctrl_rl_core.io.checked_yaml import read_yaml
 from ctrl_rl_core.io.file_checks import FileError, open_file, raise_as
 from ctrl_rl_core.io.schema import Number, Schema
@@ -99,6 +100,7 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
         with_alpha: Whether opacity counts as a fourth colour, as in map_server's trinary mode.
     """
     with open_file(path, _LARGEST_IMAGE) as (file, _):
+        check_png(file)
         try:
             with Image.open(file, formats=_FORMATS) as image:
                 columns, rows = image.size
@@ -109,7 +111,8 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
                 if image.mode in ("1", "L"):
                     return np.asarray(image.convert("L"), np.float32) / 255.0, None
                 pixels = np.asarray(image.convert("RGBA"))
-                transparent = "A" in image.getbands() or "transparency" in image.info
+                # An editor adds a channel that is opaque everywhere, which must not make the unknown's grey lighter.
+                transparent = bool((pixels[..., 3] != _OPAQUE).any())
         except (FileError, MemoryError):
             raise
         except Exception as error:  # Pillow raises many kinds for a damaged file

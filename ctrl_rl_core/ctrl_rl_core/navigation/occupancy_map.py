@@ -71,6 +71,11 @@ class OccupancyMap:
         object.__setattr__(self, "resolution", float(self.resolution))
         object.__setattr__(self, "origin", tuple(map(float, self.origin)))
 
+    def is_same(self, other: OccupancyMap) -> bool:
+        """Return whether another map has the same cells at the same places."""
+        same = (self.resolution, self.origin) == (other.resolution, other.origin)
+        return same and np.array_equal(self.cells, other.cells)
+
     @classmethod
     def from_percent(
         cls, percent: NDArray[np.integer], resolution: float, origin: tuple[float, float, float]

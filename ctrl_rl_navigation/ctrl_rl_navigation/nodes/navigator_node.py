@@ -133,8 +133,7 @@ class NavigatorNode(LidarVelocityNode):
 
     def _use(self, map_: OccupancyMap) -> None:
         """Use a map unless it is the present one."""
-        before = self._map
-        if before is None or before.origin != map_.origin or not np.array_equal(before.cells, map_.cells):
+        if self._map is None or not self._map.is_same(map_):
             self._map = map_
             self._navigator.set_map(map_)
             width, height = map_.size
