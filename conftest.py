@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent / "test"))  # parts that tests of all packages use lie there
 
@@ -21,6 +22,11 @@ from forked_workers import pytest_xdist_setupnodes as pytest_xdist_setupnodes
 from preloaded import Preloaded
 
 ROOT = Path(__file__).parent
+
+# Property tests draw the same examples each time; `make attack` has others (--hypothesis-profile anew).
+settings.register_profile("same", derandomize=True, database=None)
+settings.register_profile("anew", database=None)
+settings.load_profile("same")
 
 # Before any test imports rclpy. Domains up to 101 are safe on every system; one per test process keeps them apart.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)

@@ -12,9 +12,10 @@ from _attack import Attack
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run(_generator: np.random.Generator, _folder: Path) -> None:
+def run(generator: np.random.Generator, _folder: Path) -> None:
     """Run every test marked `fault`."""
     command = [sys.executable, "-m", "pytest", "-m", "fault and not slow", "--no-header", "--tb=short"]
+    command += ["--hypothesis-profile", "anew", "--hypothesis-seed", str(generator.integers(1 << 31))]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout[-4000:]
 

@@ -14,8 +14,8 @@ INSIDE = 99.9
 """Percentile of the distances in training that is the border of the region."""
 PREDICTED = 99.0
 """Percentile of the one-step prediction errors in training above which an error is high."""
-_LEAST_SPREAD = 1e-4
-"""Directions that vary by less than this part of the first one say nothing but rounding."""
+_LEAST_SPREAD = 1e-6
+"""Directions that vary by less than this part of the first one say nothing but the rounding of single precision."""
 
 
 @dataclass(frozen=True)
