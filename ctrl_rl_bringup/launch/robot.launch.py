@@ -19,8 +19,14 @@ def generate_launch_description() -> LaunchDescription:
     policy = ParameterValue(LaunchConfiguration("policy"), value_type=str)
     dry_run = ParameterValue(LaunchConfiguration("dry_run"), value_type=bool)
     max_distance = ParameterValue(LaunchConfiguration("max_distance"), value_type=float)
+    robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
     return LaunchDescription(
         [
+            DeclareLaunchArgument(
+                "robot",
+                default_value="turtlebot3_burger",
+                description="name of the robot, or the path of its .yaml file",
+            ),
             DeclareLaunchArgument("policy", default_value=DEFAULT_POLICY, description="policy name or file"),
             DeclareLaunchArgument(
                 "stamped", default_value="true", description="cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"
@@ -42,7 +48,7 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="ctrl_rl_core",
                 executable="watchdog",
-                parameters=[{"enable_stamped_cmd_vel": stamped, "timeout": timeout}],
+                parameters=[{"robot": robot, "enable_stamped_cmd_vel": stamped, "timeout": timeout}],
                 output="screen",
                 respawn=True,
             ),
@@ -51,6 +57,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="controller",
                 parameters=[
                     {
+                        "robot": robot,
                         "enable_stamped_cmd_vel": stamped,
                         "policy": policy,
                         "dry_run": dry_run,
