@@ -32,14 +32,8 @@ def generate_launch_description() -> LaunchDescription:
     view = PathJoinSubstitution([FindPackageShare("ctrl_rl_navigation"), "config", "navigation.rviz"])
     robot = ParameterValue(given["robot"], value_type=str)
     # Of the robot where it is not given: a launch file cannot leave a parameter out.
-    words = (
-        "float('",
-        given["max_speed"],
-        "' or __import__('ctrl_rl_core').find_robot('",
-        given["robot"],
-        "').plan.speed)",
-    )
-    fastest = PythonExpression(words)
+    own = ("ctrl_rl_core.find_robot('", given["robot"], "').plan.speed")
+    fastest = PythonExpression(["float('", given["max_speed"], "' or ", *own, ")"], ["ctrl_rl_core"])
     return LaunchDescription(
         [
             *(

@@ -30,14 +30,8 @@ def generate_launch_description() -> LaunchDescription:
         "use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool),
     }
     # Of the robot where it is not given: a launch file cannot leave a parameter out.
-    words = (
-        "float('",
-        given["largest_speed"],
-        "' or __import__('ctrl_rl_core').find_robot('",
-        given["robot"],
-        "').speed)",
-    )
-    limit = PythonExpression(words)
+    own = ("ctrl_rl_core.find_robot('", given["robot"], "').speed")
+    limit = PythonExpression(["float('", given["largest_speed"], "' or ", *own, ")"], ["ctrl_rl_core"])
     return LaunchDescription(
         [
             *(
