@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.plots import Line, Panel, draw_learning, draw_paths, picture, word_at
+from ctrl_rl_core.plots import Line, Panel, draw_learning, draw_path, draw_paths, picture, word_at
 from matplotlib.figure import Figure
 from picture_faults import faults_of
 
@@ -218,6 +218,17 @@ def test_a_word_goes_where_it_covers_nothing(drawn, tmp_path):
         ax.plot(np.linspace(0.0, 1.0, 50), np.linspace(0.0, 1.0, 50))
         for place in (0.2, 0.5, 0.8):
             word_at(ax, "a word", (place, place))
+    assert_clean(drawn)
+
+
+def test_a_robot_that_stands_is_marked_once(drawn, tmp_path):
+    times = np.linspace(0.0, 140.0, 1401)
+    x = np.minimum(0.2 * times, 3.0) + 0.2 * np.maximum(times - 130.0, 0.0)
+    with picture(tmp_path / "path.png", half=True) as (_, ((ax,),)):
+        draw_path(ax, np.column_stack((x, 0.0 * x)), times=times)
+    words = [text.get_text() for text in ax.texts]
+    assert [word for word in words if "standing" in word] == ["115 s standing"]
+    assert len(words) <= 10
     assert_clean(drawn)
 
 

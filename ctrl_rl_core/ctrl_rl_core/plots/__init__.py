@@ -13,19 +13,8 @@ from ctrl_rl_core.plots.curves import (
     line_of,
 )
 from ctrl_rl_core.plots.film import film, moving_picture
-from ctrl_rl_core.plots.maps import (
-    draw_counts,
-    draw_landmark,
-    draw_map,
-    draw_mover,
-    draw_path,
-    draw_paths,
-    draw_robot,
-    draw_values,
-    draw_world,
-    mark_clearance,
-    name_axes,
-)
+from ctrl_rl_core.plots.maps import draw_counts, draw_landmark, draw_map, draw_values, draw_world, name_axes
+from ctrl_rl_core.plots.paths import draw_mover, draw_path, draw_paths, draw_robot, mark_clearance
 from ctrl_rl_core.plots.roles import (
     BLACK,
     COUNTS,

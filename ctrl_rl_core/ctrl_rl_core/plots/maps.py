@@ -1,14 +1,10 @@
-"""Maps: a task's world, values over it, robots in true size, driven and planned paths, people."""
+"""Maps: a task's world, and values and counts over it."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, TwoSlopeNorm
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
@@ -16,10 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core.geometry.shapes import ArcPath, Box, Shape
 from ctrl_rl_core.geometry.units import Interval
-from ctrl_rl_core.plots.roles import COUNTS, DANGER, FAINT, GOAL, RETURNS, SIGNED, UNKNOWN, VALUES, WALL
-from ctrl_rl_core.plots.style import picture
+from ctrl_rl_core.plots.roles import COUNTS, FAINT, GOAL, RETURNS, SIGNED, UNKNOWN, VALUES, WALL
 from ctrl_rl_core.plots.words import word_at
-from ctrl_rl_core.tasks.regions import ANGLES, position_indices
 from ctrl_rl_core.tasks.task import NavigationTask
 
 Array = NDArray[np.float64]
@@ -27,8 +21,6 @@ _GOAL: dict[str, Any] = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 1.
 _SEEN = {"xy": "seen from above", "xz": "seen from the side"}
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 _MOST_CONTOURS = 14
-_SNAPSHOTS = 6
-_EDGE = [patheffects.withStroke(linewidth=4.0, foreground="white")]
 
 
 def draw_world(axes: Axes, task: NavigationTask, width: float | None = None, words: bool = True) -> None:
@@ -137,111 +129,11 @@ def contour_levels(low: float, high: float, step: float | None = None) -> Array:
     return levels[(levels > low) & (levels < high)]
 
 
-def draw_path(
-    axes: Axes,
-    places: ArrayLike,
-    *,
-    planned: bool = False,
-    colour: str = "black",
-    times: ArrayLike | None = None,
-    every: float = 5.0,
-) -> None:
-    """Draw a driven or planned path.
-
-    Args:
-        axes: To draw on.
-        places: Places (n, 2) [m].
-        planned: Whether it is only planned; it is dashed then.
-        colour: Colour of the line, that of its robot where there are several.
-        times: When it was at each place (n,) [s]; there are no marks of time unless given.
-        every: Time between two marks [s].
-    """
-    x, y = np.asarray(places, dtype=float).T
-    axes.plot(x, y, "--" if planned else "-", color=colour, linewidth=2.0, path_effects=_EDGE, zorder=5)
-    if times is None:
-        return
-    stamps = np.asarray(times, dtype=float)
-    for moment in np.arange(every, stamps[-1], every):
-        at = np.array([np.interp(moment, stamps, x), np.interp(moment, stamps, y)])
-        axes.plot(*at, "|", color="white", markeredgecolor=colour, markersize=6, zorder=6)
-        word_at(axes, f"{moment:g} s", (float(at[0]), float(at[1])))
-
-
-def draw_robot(
-    axes: Axes, place: ArrayLike, heading: float, radius: float, colour: str = "white", flies: bool = False
-) -> None:
-    """Draw a robot in true size: its disc with its heading, or the bar of a planar quadrotor at its pitch."""
-    x, y = np.asarray(place, dtype=float)
-    if flies:  # its bar lies across its thrust, at pitch psi clockwise
-        reach = radius * np.array([np.cos(heading), -np.sin(heading)])
-        axes.plot([x - reach[0], x + reach[0]], [y - reach[1], y + reach[1]], color="black", linewidth=2.5, zorder=7)
-        return
-    axes.add_patch(Circle((x, y), radius, facecolor=colour, edgecolor="black", linewidth=1.2, zorder=7))
-    nose = radius * np.array([np.cos(heading), np.sin(heading)])
-    axes.plot([x, x + nose[0]], [y, y + nose[1]], color="black", linewidth=1.2, zorder=8)
-
-
-def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name: str = "") -> Circle:
-    """Draw a person or another mover in true size where it was nearest, and its way (n, 2) [m]; return its disc."""
-    axes.plot(*np.asarray(track, dtype=float).T, ":", color=DANGER, linewidth=1.4, zorder=4)
-    x, y = np.asarray(at, dtype=float)
-    disc = Circle((x, y), radius, color=DANGER, linewidth=0, zorder=6)
-    axes.add_patch(disc)
-    if name:
-        word_at(axes, name, (float(x), float(y)), DANGER)
-    return disc
-
-
 def draw_landmark(axes: Axes, name: str, place: ArrayLike) -> None:
     """Draw a place with its name [m]."""
     x, y = np.asarray(place, dtype=float)
     axes.plot(x, y, "s", color=FAINT, markersize=8, zorder=4)
     word_at(axes, name, (float(x), float(y)))
-
-
-def mark_clearance(axes: Axes, place: ArrayLike, clearance: float) -> None:
-    """Mark the place of the least clearance [m] with a ring and its number."""
-    x, y = np.asarray(place, dtype=float)
-    axes.plot(x, y, "o", color=DANGER, markerfacecolor="none", markersize=10, zorder=8)
-    word_at(axes, f"{clearance:.2f} m", (float(x), float(y)))
-
-
-def draw_paths(path: Path, title: str, task: NavigationTask, panels: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """Draw paths in a task's world, with the robot in true size at a few moments.
-
-    Args:
-        path: File to write.
-        title: Finding in words.
-        task: Task of the paths.
-        panels: Paths of each panel by its name: `states` (n, d), and their `outcome`, if any. At most three panels.
-    """
-    names = task.system.build().state_names
-    plane = position_indices(names)
-    angle = next((index for index, name in enumerate(names) if name in ANGLES), None)
-    shown = dict(list(panels.items())[:3])
-    (_, width), (_, height) = task.plane_bounds.items()
-    tall = (2.7 if len(shown) == 1 else 6.0 / len(shown)) * height.length / width.length
-    with picture(path, title, 1, len(shown), height=min(tall + 1.5, 6.0), half=len(shown) == 1,
-                 sharex=True, sharey=True) as (_, axes):  # fmt: skip
-        for ax, (name, entries) in zip(axes[0], shown.items(), strict=True):
-            draw_map(ax, task)
-            ends = [entry["outcome"] for entry in entries if "outcome" in entry]
-            told = f"{name}: {ends.count('GOAL')} of {len(ends)} reach the goal" if ends else name
-            ax.set_title(textwrap.fill(told, 28))
-            for entry in entries:
-                states = np.asarray(entry["states"], dtype=float)
-                places = states[:, plane]
-                draw_path(ax, places)
-                for index in np.linspace(0, len(states) - 1, _SNAPSHOTS).astype(int):
-                    turn = 0.0 if angle is None else states[index, angle]
-                    draw_robot(ax, places[index], turn, task.robot.radius, flies=task.plane == "xz")
-                if entry.get("outcome") == "COLLISION":
-                    ax.plot(*places[-1], "o", color=DANGER, markerfacecolor="none", markersize=10, zorder=8)
-                    word_at(ax, "collision", (float(places[-1, 0]), float(places[-1, 1])), DANGER)
-            if entries:
-                first = np.asarray(entries[0]["states"], dtype=float)[0, plane]
-                word_at(ax, "start", (float(first[0]), float(first[1])))
-            ax.label_outer()
 
 
 def _solid(shape: Shape) -> Patch:
