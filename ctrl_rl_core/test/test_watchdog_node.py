@@ -217,7 +217,7 @@ def test_after_its_own_freeze_it_stops_the_robot_first(base: Base, run_node: Cal
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGALRM])
 def test_stopped_itself_it_leaves_the_robot_standing(
     base: Base, run_node: Callable, source: Callable, number: int
 ) -> None:
@@ -363,3 +363,34 @@ def test_a_quadrotor_without_a_pilot_hovers_then_its_rotors_stop(run_node: Calla
         watchdog.wait_for("rest thrust instead of a command: t1 is nan N")
     finally:
         node.destroy_node()
+
+
+@pytest.mark.fault
+def test_two_watchdogs_on_one_robot_both_stand_and_name_each_other(
+    base: Base, run_node: Callable, source: Callable
+) -> None:
+    """Started by two launch files, one behind a filter that sends nothing and one behind the driver itself."""
+    one = run_node("ctrl_rl_core", "watchdog", *QUICK)
+    source()
+    base.until(lambda: base.drives)
+    other = run_node("ctrl_rl_core", "watchdog", *QUICK, remap=("cmd_vel_raw:=cmd_vel_safe",))
+    one.wait_for("/watchdog publishes on /cmd_vel too")
+    base.speeds.clear()
+    deadline = time.monotonic() + 2.0
+    base.until(lambda: time.monotonic() > deadline and len(base.speeds) > 5)
+    assert set(base.speeds) == {0.0}
+    other.stop()
+    base.until(lambda: base.drives)
+
+
+@pytest.mark.fault
+def test_before_it_is_suspended_it_leaves_the_robot_standing(base: Base, run_node: Callable, source: Callable) -> None:
+    watchdog = run_node("ctrl_rl_core", "watchdog", "timeout:=60.0")
+    source()
+    base.until(lambda: base.drives)
+    watchdog.process.send_signal(signal.SIGTSTP)  # Ctrl-Z
+    stat = Path(f"/proc/{watchdog.process.pid}/stat")
+    base.until(lambda: stat.read_text().rpartition(")")[2].split()[0] == "T")
+    base.until(lambda: base.stands)
+    watchdog.process.send_signal(signal.SIGCONT)
+    base.until(lambda: base.drives)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ctrl_rl_core.ros.node import COMMAND
+from ctrl_rl_core.driving.rivals import Rivals
+from ctrl_rl_core.ros.node import COMMAND, SuiteNode
 from ctrl_rl_msgs.msg import RotorThrusts
 
 Array = NDArray[np.float64]
@@ -40,11 +42,16 @@ class CommandOutput(ABC):
     def fill(self, first: float, second: float) -> None:
         """Write the two numbers of a command into the message."""
 
-    def send(self, command: Array, stamp: Stamp) -> None:
-        """Publish a command (2,)."""
+    def make_rivals(self, node: SuiteNode, on_rival: Callable[[], None]) -> Rivals | None:  # noqa: ARG002
+        """Return who else commands the robot; None where nobody listens for that. See `Rivals`."""
+        return None
+
+    def send(self, command: Array, stamp: Stamp) -> Any:
+        """Publish a command (2,), and return its message."""
         self.header.stamp = stamp
         self.fill(*command.tolist())
         self.publisher.publish(self._message)
+        return self._message
 
 
 class VelocityOutput(CommandOutput):
@@ -56,6 +63,10 @@ class VelocityOutput(CommandOutput):
         message = TwistStamped() if stamped else Twist()
         self._twist = message.twist if stamped else message
         super().__init__(node, "cmd_vel", message, message.header if stamped else Header(), np.zeros(2))
+
+    def make_rivals(self, node: SuiteNode, on_rival: Callable[[], None]) -> Rivals:
+        """Return who else commands the robot."""
+        return Rivals(node, type(self._message), "cmd_vel", on_rival)
 
     def fill(self, first: float, second: float) -> None:
         """Write speed and turn rate into the message."""

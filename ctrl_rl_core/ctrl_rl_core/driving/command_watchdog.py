@@ -11,6 +11,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.time import Time
 
+from ctrl_rl_core.driving.rivals import Rivals
 from ctrl_rl_core.driving.watchdog import Watchdog
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter
@@ -48,6 +49,7 @@ class CommandWatchdog(SuiteNode):
         self._rivals: tuple[str, ...] = ()
         self._kind = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         self._output = self.create_publisher(kind, self.OUTPUT, COMMAND)
+        self._others = self.listen_for_rivals()
         self._input = self.create_subscription(kind, f"{self.OUTPUT}_raw", self._on_command, COMMAND)
         self.create_timer(1.0 / rate, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.send_rest()
@@ -79,6 +81,10 @@ class CommandWatchdog(SuiteNode):
     @abstractmethod
     def consequence(self, silent_for: float) -> str:
         """Return what the robot does without commands, after a silence that has lasted so long [s]."""
+
+    def listen_for_rivals(self) -> Rivals | None:
+        """Return who else commands the robot; override it where that is to stop it."""
+        return None
 
     def wrong_type_hint(self) -> str:
         """Return what to do where the driver publishes another type of message."""
@@ -121,6 +127,7 @@ class CommandWatchdog(SuiteNode):
         self._refusal = self.refuse(message)
         if self.faults.failing:
             self._refusal = f"a callback failed: {self.faults.last}"
+        self._refusal = self._refusal or self._rival()
         if self._refusal:
             self._counts["refused"] += 1
             self.get_logger().warning(f"{self.REST} instead of a command: {self._refusal}", throttle_duration_sec=5.0)
@@ -130,7 +137,7 @@ class CommandWatchdog(SuiteNode):
             if self._stamped:
                 self._frame = message.header.frame_id
                 self._stamp_lag_ns = self._lag_of(message.header.stamp)
-            self._output.publish(message)
+            self._send(message)
         else:
             self.send_rest()
         self._say_what_changed()
@@ -158,7 +165,12 @@ class CommandWatchdog(SuiteNode):
             rest.header.stamp, rest.header.frame_id = self._driver_time(), self._frame
         if self.fill_rest(rest, self._watchdog.silent_for(time.monotonic())):
             self._counts[f"{self.REST}s"] += 1
-            self._output.publish(rest)
+            self._send(rest)
+
+    def _send(self, message: Any) -> None:
+        self._output.publish(message)
+        if self._others is not None:
+            self._others.sent(message)
 
     def _lag_of(self, stamp: Stamp) -> int:
         """Return the lag of a command's stamp behind this node's clock [ns]; zero without a stamp."""
@@ -174,6 +186,9 @@ class CommandWatchdog(SuiteNode):
         """
         now = self.get_clock().now().nanoseconds - self._stamp_lag_ns
         return Time(nanoseconds=min(max(now, 0), _LATEST_NS)).to_msg()
+
+    def _rival(self) -> str:
+        return "" if self._others is None else self._others.fault()
 
     def _look_around(self) -> tuple[str, ...]:
         """Return the other publishers of the output; log them when they change."""

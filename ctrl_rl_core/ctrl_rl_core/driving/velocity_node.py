@@ -96,6 +96,7 @@ class VelocityNode(SuiteNode):
             wall = Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(0.25 * self._wall_timeout, self._watch_wall, clock=wall)
         self._rivals: tuple[str, ...] = ()
+        self._others = self.output.make_rivals(self, self._on_rival)
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
         self.problem = f"waiting for {' and '.join(needs)}"
@@ -173,6 +174,10 @@ class VelocityNode(SuiteNode):
         if self.faults.failing:
             self.halt(f"callback failed: {self.faults.last}", stamp)
             return self.output.rest
+        rival = "" if self.settings["dry_run"] else self.rival()
+        if rival and bool((command != self.output.rest).any()):
+            self.halt(rival, stamp)
+            return self.output.rest
         command, problem = self.make_safe(self.clip(command))
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
@@ -198,6 +203,10 @@ class VelocityNode(SuiteNode):
         if not self.settings["dry_run"]:
             self._send(self.stopping(), stamp)
         self._say(problem)
+
+    def rival(self) -> str:
+        """Return who else commands the robot; empty where nobody does."""
+        return "" if self._others is None else self._others.fault()
 
     def stopping(self) -> NDArray[np.float64]:
         """Return the command (2,) of a robot that must stop; override it where another one stops it more safely."""
@@ -264,6 +273,11 @@ class VelocityNode(SuiteNode):
             self.counts["stale"] += 1
             self.halt(f"{problem} in {self._wall_timeout:g} s of wall time: is the simulation paused?")
 
+    def _on_rival(self) -> None:
+        """Stand as soon as another node commands the robot."""
+        if self.moving and not self.settings["dry_run"]:
+            self.halt(self.rival())
+
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return the other publishers of cmd_vel; log them when they change."""
         before, self._rivals = self._rivals, self.other_publishers(self.output.publisher.topic_name)
@@ -280,7 +294,9 @@ class VelocityNode(SuiteNode):
 
     def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
         self.moving = bool((command != self.output.rest).any())
-        self.output.send(command, self.get_clock().now().to_msg() if stamp is None else stamp)
+        sent = self.output.send(command, self.get_clock().now().to_msg() if stamp is None else stamp)
+        if self._others is not None:
+            self._others.sent(sent)
 
 
 def _kind(problem: str) -> str:

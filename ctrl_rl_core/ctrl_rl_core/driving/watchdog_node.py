@@ -8,6 +8,7 @@ import sys
 from geometry_msgs.msg import Twist, TwistStamped
 
 from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
+from ctrl_rl_core.driving.rivals import Rivals
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.ros.running import run_node
 
@@ -49,6 +50,10 @@ class WatchdogNode(CommandWatchdog):
     def message_type(self) -> type[TwistStamped | Twist]:
         """Return the message type of both topics."""
         return TwistStamped if self.settings["enable_stamped_cmd_vel"] else Twist
+
+    def listen_for_rivals(self) -> Rivals:
+        """Return who else commands the robot: it would be driven round whatever stands before this node."""
+        return Rivals(self, self.message_type(), self.OUTPUT, self.send_rest)
 
     def rhythm(self) -> tuple[float, float]:
         """Return the rate of zeros [Hz] while no commands come, and for how long they are sent [s]; 0 for ever."""
