@@ -111,7 +111,7 @@ class Sectors:
             raise ScanError(f"scan with {len(ranges)} ranges of {scan.beams}")
         beams = self._beams(scan)
         values = np.empty(scan.beams + 1)
-        measured(ranges, scan, values[:-1])
+        measured(ranges, scan, values[:-1], self.far)
         values[-1] = np.nan
         values = values.take(beams.places)
         values.sort(axis=1)  # NaN last

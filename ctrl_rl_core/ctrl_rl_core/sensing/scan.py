@@ -30,6 +30,9 @@ _FEW, _SOME = 2, 0.02
 """Beams by which a scan's count may differ from that of its angles, and that share of them: motors' speeds vary."""
 _SMALLEST = 1e-6
 """Ranges up to this are zero, whatever range_min claims [m]."""
+# Arrays, as NumPy takes a Python number or its own scalars in twice the time.
+_MISS, _TOO_CLOSE = np.array(0.0, np.float32), np.array(-np.inf, np.float32)
+_NOTHING, _UNKNOWN = np.array(np.inf), np.array(np.nan)
 
 
 class ScanError(CtrlRlError):
@@ -126,7 +129,9 @@ def read_scan(message: Any, yaw: float = 0.0) -> Scan:
     return Scan(np.asarray(message.ranges, dtype=np.float32), ScanGeometry.of(message).turned(yaw))
 
 
-def measured(ranges: NDArray[np.float32], scan: ScanGeometry, out: Array | None = None) -> Array:
+def measured(
+    ranges: NDArray[np.float32], scan: ScanGeometry, out: Array | None = None, farthest: float = math.inf
+) -> Array:
     """Return what each beam means (beams,) [m]: a distance, +inf for nothing there, NaN for no measurement.
 
     +inf, 0 (an LDS-01's miss) and beyond range_max mean nothing there; -inf something too close, at range_min; NaN,
@@ -136,14 +141,16 @@ def measured(ranges: NDArray[np.float32], scan: ScanGeometry, out: Array | None 
         ranges: Ranges of the beams (beams,) [m].
         scan: Bearings and limits of the beams.
         out: Array for the result (beams,).
+        farthest: Distance from which on the caller makes no difference between an echo and nothing there [m].
     """
     if out is None:
         out = np.empty(len(ranges))
     out[...] = ranges
-    np.putmask(out, ranges < max(scan.range_min, _SMALLEST), np.nan)
-    np.putmask(out, ranges > scan.range_max, np.inf)
-    np.putmask(out, ranges == 0.0, np.inf)
-    np.putmask(out, ranges == -np.inf, scan.range_min)
+    np.putmask(out, ranges < np.array(max(scan.range_min, _SMALLEST), np.float32), _UNKNOWN)
+    if scan.range_max < farthest:
+        np.putmask(out, ranges > np.array(scan.range_max, np.float32), _NOTHING)
+    np.putmask(out, ranges == _MISS, _NOTHING)
+    np.putmask(out, ranges == _TOO_CLOSE, scan.range_min)
     return out
 
 
