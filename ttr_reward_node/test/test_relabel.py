@@ -121,3 +121,15 @@ def test_odometry_that_is_none_is_refused(tmp_path: Path, definition: str, data:
             tmp_path / "bag", tmp_path / "new", function, RewardEvaluator(load_navigation_task("car_ttr"), function)
         )
     assert not (tmp_path / "new").exists()
+
+
+def test_odometry_without_an_orientation_is_refused(tmp_path: Path) -> None:
+    function = solve_task("car_ttr", counts=(21, 21, 12))
+    message = Odometry()
+    message.pose.pose.orientation.w = 0.0
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(Topic("/odom", KIND, message_definition(KIND)))
+        writer.write("/odom", bytes(serialize_message(message)), 10**9)
+    evaluator = RewardEvaluator(load_navigation_task("car_ttr"), function)
+    with pytest.raises(BagError, match="/odom: odometry with a quaternion of length 0: must be 1"):
+        relabel(tmp_path / "bag", tmp_path / "out", function, evaluator)
