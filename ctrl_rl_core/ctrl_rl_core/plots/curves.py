@@ -39,7 +39,7 @@ class Line:
         method: Name of the method, which has its style.
         label: Name in the picture.
         steps: Environment steps (n,).
-        values: What each seed came to (seeds, n).
+        values: Result of each seed at each step (seeds, n).
     """
 
     method: str
@@ -65,7 +65,7 @@ def line_of(method: str, label: str, curve: Mapping[str, Any], key: str = "value
         method: Name of the method.
         label: Name in the picture.
         curve: `samples` (n,), and values of the seeds (seeds, n) under `key`.
-        key: What is drawn, such as "success".
+        key: Name of the values, such as "success".
     """
     steps, values = curve["samples"], np.asarray(curve[key], dtype=float)
     if key != "success":
@@ -78,7 +78,7 @@ class Panel:
     """One panel of curves.
 
     Attributes:
-        title: What is learnt; empty for a single panel.
+        title: Name of the task or learner; empty for a single panel.
         lines: At most `MOST_LINES` lines.
         limits: Heights of thin lines across the panel by name, such as the largest return.
         published: Figures of others by name: environment steps and mean.
@@ -101,7 +101,7 @@ def draw_learning(
         path: File to write.
         title: Finding in words.
         panels: At most `MOST_PANELS` panels.
-        measure: What is measured, with its unit; `SUCCESS` goes from 0 to 100.
+        measure: Measured quantity with its unit; `SUCCESS` goes from 0 to 100.
         orders_of_magnitude: Least size of what is measured where all of it is negative and orders of magnitude lie
             between first and last; None for a linear axis.
     """
@@ -197,7 +197,7 @@ def draw_ends(
         title: Finding in words.
         ends: Values of the seeds by method and, within it, by what was learnt.
         labels: Names of the methods; at most three are drawn, a panel for each.
-        measure: What is measured, with its unit.
+        measure: Measured quantity with its unit.
         decimals: Decimals of the means.
     """
     methods = [method for method in ends if method in labels][:_COLUMNS]

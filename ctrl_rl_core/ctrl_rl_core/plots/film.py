@@ -37,7 +37,7 @@ def moving_picture(
     """Prepare a moving picture within this context, which `film` writes.
 
     Args:
-        title: Title, wrapped.
+        title: Finding in words.
         rows: Number of rows of panels.
         columns: Number of panels in a row.
         height: Height of the picture [in], of `FULL` width.
@@ -70,10 +70,10 @@ def film(
     Args:
         figure: Figure of `moving_picture`, with all that stays.
         moving: Artists that move.
-        moments: What is shown, a frame each; at least one.
+        moments: At least one moment, a frame each.
         show: Moves the artists to a moment.
         path: File to write.
-        frame_time: How long a frame is shown [s].
+        frame_time: Duration of a frame [s].
     """
     settle(figure)
     for artist in moving:

@@ -80,7 +80,7 @@ def draw_values(
         step: Step of the contours; None for a round one.
 
     Returns:
-        What a bar of colours is made for.
+        The image, for a colour bar.
     """
     x, y, shown = np.asarray(across), np.asarray(up), np.ma.masked_invalid(np.asarray(values, dtype=float))
     axes.add_patch(
@@ -115,7 +115,7 @@ def draw_counts(axes: Axes, across: ArrayLike, up: ArrayLike, counts: ArrayLike,
         most: Count of the darkest cell.
 
     Returns:
-        What a bar of colours is made for.
+        The image, for a colour bar.
     """
     look: dict[str, Any] = {"cmap": COUNTS, "norm": LogNorm(1.0, max(most, 2.0))}
     shown = np.ma.masked_less(np.asarray(counts, dtype=float), 1.0)

@@ -45,7 +45,7 @@ def draw_path(
         planned: Whether it is only planned; it is dashed then.
         colour: Colour of the line, that of its robot where there are several.
         times: When it was at each place (n,) [s]; there are no marks of time unless given.
-        every: Least time between two marks, of which there are at most ten; where a robot stands longer is a square [s].
+        every: Least time between two marks, of which there are at most ten; where it stands longer is a square [s].
     """
     x, y = np.asarray(places, dtype=float).T
     axes.plot(x, y, "--" if planned else "-", color=colour, linewidth=2.0, path_effects=_EDGE, zorder=5)

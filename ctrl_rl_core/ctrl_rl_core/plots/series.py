@@ -24,7 +24,7 @@ class Series:
     Attributes:
         title: Quantity and unit.
         times: Times (n,) [s].
-        values: Values (n,).
+        values: Quantity at each time (n,).
         raw: The same before the filter, and its times: (times, values).
         limit: Limit that it must keep.
         steps: Whether a value holds until the next, as a command does.

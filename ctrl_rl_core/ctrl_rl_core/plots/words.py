@@ -28,7 +28,7 @@ def name_at_end(axes: Axes, name: str, height: float, colour: str) -> None:
 
     Args:
         axes: Panel of the line.
-        name: Its name.
+        name: Name of the line.
         height: Where it ends [unit of the y axis].
         colour: Colour of the line.
     """
