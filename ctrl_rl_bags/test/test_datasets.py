@@ -1,6 +1,7 @@
 """Datasets of other libraries from bags and back, bit for bit, read by the libraries' own loaders."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -244,3 +245,45 @@ def test_bags_without_drives_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"no topic /odom \(nav_msgs/msg/Odometry\), /cmd_vel or /rotor_thrusts"):
         export_bags([tmp_path / "empty"], tmp_path / "set", "lerobot", ExtractionOptions())
     assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_pipe_in_a_dataset_is_no_wait(kind: str, bag: Path, tmp_path: Path, capsys) -> None:
+    pytest.importorskip(FORMATS[kind])
+    export_bags([bag], tmp_path / "set", kind, ExtractionOptions())
+    data = tmp_path / "set" / ("data/chunk-000/file-000.parquet" if kind == "lerobot" else "data/main_data.hdf5")
+    data.unlink()
+    os.mkfifo(data)
+    assert main(["import", str(tmp_path / "set"), "--output", str(tmp_path / "bags")]) == 1
+    assert "is no regular file" in capsys.readouterr().err
+
+
+@pytest.mark.fault
+def test_a_short_parquet_that_unfolds_is_refused(bag: Path, tmp_path: Path, capsys) -> None:
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    export_bags([bag], tmp_path / "set", "lerobot", ExtractionOptions())
+    data = tmp_path / "set" / "data/chunk-000/file-000.parquet"
+    table = pq.read_table(data).slice(0, 900)  # 1.9 GB, which one array can hold
+    giant = pa.array([b"\0" * (1 << 21)] * len(table))
+    at = table.column_names.index("observation.image")
+    picture = pa.StructArray.from_arrays([giant, pa.nulls(len(table), pa.string())], ["bytes", "path"])
+    pq.write_table(table.set_column(at, "observation.image", picture), data, compression="zstd")
+    assert data.stat().st_size < 2_000_000
+    assert main(["import", str(tmp_path / "set"), "--output", str(tmp_path / "bags")]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.fault
+def test_hdf5_does_not_bring_in_other_files(bag: Path, tmp_path: Path, capsys) -> None:
+    h5py = pytest.importorskip("h5py")
+    export_bags([bag], tmp_path / "set", "minari", ExtractionOptions())
+    (tmp_path / "secret").write_bytes(bytes(1 << 20))
+    with h5py.File(tmp_path / "set" / "data" / "main_data.hdf5", "r+") as file:
+        shape = file["episode_1/observations/scan"].shape
+        del file["episode_1/observations/scan"]
+        place = [(str(tmp_path / "secret"), 0, h5py.h5f.UNLIMITED)]
+        file.create_dataset("episode_1/observations/scan", shape, np.float32, external=place)
+    assert main(["import", str(tmp_path / "set"), "--output", str(tmp_path / "bags")]) == 1
+    assert "lies in another file" in capsys.readouterr().err

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from ctrl_rl_core.policies.observation import ObservationBuilder
-from ctrl_rl_core.policies.policy import shipped_policies
+from ctrl_rl_core.policies.policy import policy_digest, shipped_policies
 from ctrl_rl_core.sensing.scan import ScanGeometry
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -242,3 +242,89 @@ def test_an_onnx_model_without_manifest_or_runtime_says_what_to_do(
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
     with pytest.raises(PolicyError, match=r"'onnxruntime', which is not installed: python -m pip install -r"):
         load_policy(file)
+
+
+def hostile_model(kind: str) -> bytes:
+    """Return an ONNX model that answers, but not within the time, or the memory, or not by itself."""
+    onnx = pytest.importorskip("onnx")
+    helper, number = onnx.helper, onnx.TensorProto
+    given = helper.make_tensor_value_info("observation", number.FLOAT, ["batch", 6])
+    made = helper.make_tensor_value_info("action", number.FLOAT, ["batch", 2])
+    weights = helper.make_tensor("W", number.FLOAT, (6, 2), np.zeros(12))
+    nodes = [helper.make_node("MatMul", ["observation", "W"], ["action"])]
+    more = [weights]
+    if kind == "endless":
+        body = helper.make_graph(
+            [
+                helper.make_node("Identity", ["going"], ["going_on"]),
+                helper.make_node("Sin", ["state"], ["next_state"]),
+            ],
+            "body",
+            [
+                helper.make_tensor_value_info("turn", number.INT64, []),
+                helper.make_tensor_value_info("going", number.BOOL, []),
+                helper.make_tensor_value_info("state", number.FLOAT, ["batch", 6]),
+            ],
+            [
+                helper.make_tensor_value_info("going_on", number.BOOL, []),
+                helper.make_tensor_value_info("next_state", number.FLOAT, ["batch", 6]),
+            ],
+        )
+        more += [
+            helper.make_tensor("turns", number.INT64, [], [2**62]),
+            helper.make_tensor("yes", number.BOOL, [], [1]),
+        ]
+        nodes = [
+            helper.make_node("Loop", ["turns", "yes", "observation"], ["end"], body=body),
+            helper.make_node("MatMul", ["end", "W"], ["action"]),
+        ]
+    if kind == "large":
+        more.append(helper.make_tensor("shape", number.INT64, [2], [2**20, 6]))
+        more.append(helper.make_tensor("V", number.FLOAT, [6, 2**13], np.zeros(6 * 2**13)))
+        nodes = [
+            helper.make_node("ConstantOfShape", ["shape"], ["many"]),
+            helper.make_node("MatMul", ["many", "V"], ["giant"]),
+            helper.make_node("ReduceMax", ["giant"], ["largest"], keepdims=0),
+            helper.make_node("MatMul", ["observation", "W"], ["plain"]),
+            helper.make_node("Add", ["plain", "largest"], ["action"]),
+        ]
+    if kind == "elsewhere":
+        weights.ClearField("float_data")
+        weights.data_location = number.EXTERNAL
+        weights.external_data.add(key="location", value="weights.bin")
+    graph = helper.make_graph(nodes, "policy", [given], [made], more)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    return bytes(model.SerializeToString())
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("endless", "takes more than 2 s"),
+        ("large", "takes more than|the model fails"),
+        ("elsewhere", "keeps its weights in another file"),
+    ],
+)
+def test_a_hostile_onnx_model_is_refused_in_bounded_time_and_memory(
+    kind: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime")
+    monkeypatch.setattr("ctrl_rl_core.policies.onnx_policy.TIME", 2.0 if kind == "endless" else 20.0)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "weights.bin").write_bytes(bytes(48))
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(hostile_model(kind))
+    file.with_suffix(".yaml").write_text(yaml.safe_dump(DRIVE))
+    with pytest.raises(PolicyError, match=message):
+        load_policy(file)
+
+
+def test_the_digest_of_an_onnx_policy_covers_its_manifest(tmp_path: Path) -> None:
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(b"model")
+    file.with_suffix(".yaml").write_text(yaml.safe_dump(DRIVE))
+    before = policy_digest(file)
+    file.with_suffix(".yaml").write_text(yaml.safe_dump({**DRIVE, "action": {"low": [0.0, -1.0], "high": [0.9, 1.0]}}))
+    assert policy_digest(file) != before

@@ -8,3 +8,7 @@ LARGEST_INFO = 16_000_000
 
 class DatasetError(BagError):
     """A dataset cannot be written or read; the message is the reason."""
+
+
+MEMORY = 1 << 30
+"""Bytes that reading a dataset may take, beside a multiple of its size."""

@@ -10,6 +10,7 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from ctrl_rl_core.io.checked_png import check_png
-from ctrl_rl_core.io.file_checks import FileError
+from ctrl_rl_core.io.file_checks import FileError, open_file
+from ctrl_rl_core.processes.limited import limited_memory
 from numpy.typing import NDArray
 from PIL import Image
 
-from ctrl_rl_bags.datasets.errors import DatasetError
+from ctrl_rl_bags.datasets.errors import MEMORY, DatasetError
 from ctrl_rl_bags.datasets.frames import IMAGE, IS_LAST, Column, Frames, Layout
 from ctrl_rl_bags.datasets.own_info import own_info, read_own_info
 from ctrl_rl_bags.datasets.statistics import Statistics
@@ -177,16 +179,17 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
     """
     try:
         yield from _read_frames(folder, layout)
-    except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
+    except (pa.ArrowException, MemoryError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"its Parquet files cannot be read: {reason(error)}") from None
 
 
 def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    episodes = pq.read_table(folder / _EPISODES, columns=["episode_index", "source"]).to_pylist()
+    with _opened(folder / _EPISODES) as file:
+        episodes = file.read(columns=["episode_index", "source"]).to_pylist()
     sources = {int(row["episode_index"]): int(row["source"]) for row in episodes}
     columns = layout.columns
     for path in sorted((folder / "data").glob("chunk-*/file-*.parquet")):
-        with pq.ParquetFile(path) as file:
+        with _opened(path) as file:
             missing = {*columns, "episode_index"} - set(file.schema_arrow.names)
             if missing:
                 raise DatasetError(f"{path.name} has no column {min(missing)}")
@@ -197,6 +200,13 @@ def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
                     arrays = {name: _numpy(name, part.column(name), column) for name, column in columns.items()}
                     number = int(numbers[rows[0]])
                     yield Frames(arrays, number, sources.get(number, 0), bool(arrays[IS_LAST][-1]))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file, whose content may take a bounded memory: a short file can unfold to gigabytes."""
+    with open_file(path, math.inf) as (stream, size), limited_memory(MEMORY + 8 * size), pq.ParquetFile(stream) as file:
+        yield file
 
 
 def write_table(path: Path, table: pa.Table) -> None:

@@ -7,15 +7,18 @@ layout and what the bags said beside it lie in `metadata.json` under `ctrl_rl`.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from ctrl_rl_core.io.file_checks import open_file
+from ctrl_rl_core.processes.limited import limited_memory
 from numpy.typing import NDArray
 
-from ctrl_rl_bags.datasets.errors import DatasetError
+from ctrl_rl_bags.datasets.errors import MEMORY, DatasetError
 from ctrl_rl_bags.datasets.frames import (
     ACTION,
     DONE,
@@ -132,12 +135,14 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
     """
     try:
         yield from _read_frames(folder, layout)
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+    except (MemoryError, OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{DATA} cannot be read: {reason(error)}") from None
 
 
 def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    with h5py.File(folder / DATA, "r") as file:
+    with open_file(folder / DATA, math.inf) as (_, size):  # it is no pipe, which would keep us waiting
+        pass
+    with limited_memory(MEMORY + 2 * size), h5py.File(folder / DATA, "r") as file:
         for number in range(min(len(file), _MOST_EPISODES)):
             group = _member(file, f"episode_{number}", h5py.Group)
             source = int(group.attrs.get("source", 0))
@@ -174,6 +179,8 @@ def _array(group: h5py.Group, name: str, column: Column) -> h5py.Dataset:
     for part in path:
         group = _member(group, part, h5py.Group)
     array = _member(group, leaf, h5py.Dataset)
+    if array.external or array.is_virtual:
+        raise DatasetError(f"{array.name} lies in another file: it is not read from there")
     if array.dtype != np.dtype(column.dtype) or array.shape[1:] != column.shape or array.ndim < 1:
         raise DatasetError(f"{array.name} is {array.dtype} of shape {array.shape}, which is not what the layout says")
     return array

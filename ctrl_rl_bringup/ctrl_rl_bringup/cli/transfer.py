@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from ctrl_rl_core.command import CommandError, OptionalFileToWrite, at_least
-from ctrl_rl_core.io.file_checks import raise_as, read_bytes
 from ctrl_rl_core.io.results import read_experiment, results_lock
-from ctrl_rl_core.policies.errors import PolicyError
-from ctrl_rl_core.policies.policy import shipped_policies
+from ctrl_rl_core.policies.policy import policy_digest, shipped_policies
 from tqdm import tqdm
 
 from ctrl_rl_bringup.cli.running import run_here
@@ -125,8 +121,7 @@ def _read_entry(word: str, task_name: str | None) -> Entry:
         policy = load_policy(file)
         if policy.robot != robot:
             raise CommandError(f"policy {name} is for a {policy.robot}, task '{task.name}' has a {robot}")
-        with raise_as(PolicyError, file):
-            policies[sha256(read_bytes(file, math.inf)).hexdigest()] = policy
+        policies[policy_digest(file)] = policy
     return Entry(name if equals or own == task.name else f"{name} in {task.name}", task, policies)
 
 

@@ -9,6 +9,8 @@ Its name is the header key of the safetensors files, or the ending of files that
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.metadata import EntryPoint
@@ -19,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.io.checked_tensors import kind_of
-from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
+from ctrl_rl_core.io.file_checks import one_line, raise_as, read_bytes, short_path
 from ctrl_rl_core.plugins import find_plugins, load_plugin
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
@@ -145,6 +147,21 @@ def load_policy(path: Path) -> Policy:
         policy = _kind(entry).load(path)
         _try(policy)
     return policy
+
+
+def policy_digest(path: Path) -> str:
+    """Return the SHA-256 (hex) of all that makes a policy: its file, and for an ONNX model its manifest, too.
+
+    Raises:
+        PolicyError: A file cannot be read.
+    """
+    with raise_as(PolicyError, path):
+        out = hashlib.sha256(read_bytes(path, math.inf))
+    if path.suffix == ".onnx":
+        beside = path.with_suffix(".yaml")
+        with raise_as(PolicyError, beside):
+            out.update(read_bytes(beside, math.inf))
+    return out.hexdigest()
 
 
 def _try(policy: Policy) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import sys
 from pathlib import Path
@@ -17,9 +16,8 @@ from ctrl_rl_core.driving.command_output import CommandOutput, ThrustOutput
 from ctrl_rl_core.driving.episode_driver import MAX_DISTANCE, EpisodeDriver
 from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, PendingDecision, SensorReading
 from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.io.file_checks import raise_as, read_bytes
 from ctrl_rl_core.policies.errors import PolicyError
-from ctrl_rl_core.policies.policy import Policy, find_policy, load_policy
+from ctrl_rl_core.policies.policy import Policy, find_policy, load_policy, policy_digest
 from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
 from ctrl_rl_core.ros.node import COMMAND, Status, seconds
 from ctrl_rl_core.ros.parameters import Parameter
@@ -171,8 +169,7 @@ class PolicyNode(EpisodeDriver):
         return load_policy(file), file
 
     def _take(self, policy: Policy, file: Path) -> None:
-        with raise_as(PolicyError, file):
-            digest = hashlib.sha256(read_bytes(file, math.inf)).hexdigest()
+        digest = policy_digest(file)
         self._policy = policy
         self._served = {"policy": file.name, "policy digest": digest, "robot": policy.robot}
         self._forget()
