@@ -1,54 +1,69 @@
-"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=...] [dry_run:=true]: controller and watchdog for a real robot.
+"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=... | navigate:=true] [filter:=true]: what drives a real robot.
 
-The watchdog stops the robot when the controller dies. It is started again when it dies itself, and begins with zeros.
+A policy's controller, or the navigator where navigate:=true, commands on cmd_vel_raw; with filter:=true the safety
+filter sends what is safe of it on cmd_vel_safe; one watchdog alone speaks to the robot on cmd_vel. It stops the robot
+when those before it die. It is started again when it dies itself, and begins with zeros.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.conditions import IfCondition, UnlessCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
 
 from koopman_lqr_controller import DEFAULT_POLICY
 
+ARGUMENTS = {
+    "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
+    "policy": (DEFAULT_POLICY, "policy name or file of the controller, which drives unless navigate:=true"),
+    "navigate": ("false", "whether the navigator drives to goals on a map instead"),
+    "filter": ("false", "whether the safety filter stands before the watchdog"),
+    "stamped": ("true", "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"),
+    "timeout": ("0.5", "age of the last command that stops the robot [s]"),
+    "commands": (
+        "cmd_vel_raw",
+        "topic that the controller commands on; cmd_vel_auto where twist_mux is in between",
+    ),
+    "dry_run": ("false", "compute commands of the controller, but send none"),
+    "max_distance": ("0.0", "distance after which the controller stands [m]; 0.0 for any"),
+    "map": ("", "map of the navigator: map_server's .yaml file; empty for the topic map"),
+    "pose": ("tf", "where the pose on the map comes from: tf (map -> base) or amcl_pose"),
+    "mover_speed": ("0.0", "largest speed of people and other robots around, for the filter [m/s]"),
+    "use_map": ("false", "whether the topic map tells the filter what never moves"),
+    "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
+}
+_NAVIGATION = ("map", "pose", "robot", "stamped", "timeout", "use_sim_time")
+_FILTER = ("robot", "mover_speed", "use_map", "pose", "stamped", "timeout", "use_sim_time")
+
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the two nodes that drive a robot."""
-    stamped = ParameterValue(LaunchConfiguration("stamped"), value_type=bool)
-    timeout = ParameterValue(LaunchConfiguration("timeout"), value_type=float)
-    policy = ParameterValue(LaunchConfiguration("policy"), value_type=str)
-    dry_run = ParameterValue(LaunchConfiguration("dry_run"), value_type=bool)
-    max_distance = ParameterValue(LaunchConfiguration("max_distance"), value_type=float)
-    robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
+    """Return the driver, the filter where it is wanted, and the one watchdog."""
+    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    stamped = ParameterValue(given["stamped"], value_type=bool)
+    clock = ParameterValue(given["use_sim_time"], value_type=bool)
+    robot = ParameterValue(given["robot"], value_type=str)
+    last = PythonExpression(["'cmd_vel_safe' if '", given["filter"], "'.lower() in ('true', '1') else 'cmd_vel_raw'"])
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "robot",
-                default_value="turtlebot3_burger",
-                description="name of the robot, or the path of its .yaml file",
-            ),
-            DeclareLaunchArgument("policy", default_value=DEFAULT_POLICY, description="policy name or file"),
-            DeclareLaunchArgument(
-                "stamped", default_value="true", description="cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"
-            ),
-            DeclareLaunchArgument(
-                "timeout", default_value="0.5", description="age of the last command that stops the robot [s]"
-            ),
-            DeclareLaunchArgument(
-                "commands",
-                default_value="cmd_vel_raw",
-                description="topic that the controller commands on; cmd_vel_auto where twist_mux is in between",
-            ),
-            DeclareLaunchArgument("dry_run", default_value="false", description="compute commands, but send none"),
-            DeclareLaunchArgument(
-                "max_distance",
-                default_value="0.0",
-                description="distance after which it stands [m]; 0.0 for any",
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=meaning)
+                for name, (default, meaning) in ARGUMENTS.items()
             ),
             Node(
                 package="ctrl_rl_core",
                 executable="watchdog",
-                parameters=[{"robot": robot, "enable_stamped_cmd_vel": stamped, "timeout": timeout}],
+                parameters=[
+                    {
+                        "enable_stamped_cmd_vel": stamped,
+                        "robot": robot,
+                        "timeout": ParameterValue(given["timeout"], value_type=float),
+                        "use_sim_time": clock,
+                    }
+                ],
+                remappings=[("cmd_vel_raw", last)],
                 output="screen",
                 respawn=True,
             ),
@@ -57,15 +72,30 @@ def generate_launch_description() -> LaunchDescription:
                 executable="controller",
                 parameters=[
                     {
-                        "robot": robot,
                         "enable_stamped_cmd_vel": stamped,
-                        "policy": policy,
-                        "dry_run": dry_run,
-                        "max_distance": max_distance,
+                        "robot": robot,
+                        "policy": ParameterValue(given["policy"], value_type=str),
+                        "dry_run": ParameterValue(given["dry_run"], value_type=bool),
+                        "max_distance": ParameterValue(given["max_distance"], value_type=float),
+                        "use_sim_time": clock,
                     }
                 ],
-                remappings=[("cmd_vel", LaunchConfiguration("commands"))],
+                remappings=[("cmd_vel", given["commands"])],
+                condition=UnlessCondition(given["navigate"]),
                 output="screen",
             ),
+            _included("ctrl_rl_navigation", "navigation", "navigate", _NAVIGATION),
+            _included("ctrl_rl_safety", "safety_filter", "filter", _FILTER),
         ]
+    )
+
+
+def _included(package: str, file: str, wanted: str, handed_on: tuple[str, ...]) -> IncludeLaunchDescription:
+    """Return another launch file without its watchdog: there is one on a robot."""
+    path = PathJoinSubstitution([FindPackageShare(package), "launch", f"{file}.launch.py"])
+    arguments = {name: LaunchConfiguration(name) for name in handed_on}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(path),
+        launch_arguments=[("watchdog", "false"), *arguments.items()],
+        condition=IfCondition(LaunchConfiguration(wanted)),
     )

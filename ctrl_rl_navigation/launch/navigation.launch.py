@@ -19,6 +19,7 @@ ARGUMENTS = {
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "max_speed": ("", "largest speed [m/s]; empty for the robot's"),
+    "watchdog": ("true", "whether to start the watchdog; false where another launch file starts it"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
     "rviz": ("false", "whether to start RViz"),
 }
@@ -50,6 +51,7 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="ctrl_rl_core",
                 executable="watchdog",
+                condition=IfCondition(given["watchdog"]),
                 parameters=[
                     {
                         "enable_stamped_cmd_vel": stamped,

@@ -6,6 +6,7 @@ begins with zeros. The driver, the robot and a localiser are started elsewhere.
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -18,6 +19,7 @@ ARGUMENTS = {
     "stamped": ("true", "velocities are TwistStamped (Jazzy), else Twist (Humble)"),
     "largest_speed": ("", "speed above which the watchdog refuses a command [m/s]; empty for the robot's"),
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
+    "watchdog": ("true", "whether to start the watchdog; false where another launch file starts it"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
 }
 
@@ -57,6 +59,7 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="ctrl_rl_core",
                 executable="watchdog",
+                condition=IfCondition(given["watchdog"]),
                 parameters=[
                     {
                         "timeout": ParameterValue(given["timeout"], value_type=float),
