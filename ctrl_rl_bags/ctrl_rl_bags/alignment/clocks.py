@@ -174,8 +174,8 @@ def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: st
     Args:
         bag: Bag of the topics.
         late: By how much each topic's stamps exceed the reference's at the time of reception [s].
-        name: The reference.
-        base: Its messages.
+        name: Topic that the others are compared with.
+        base: Messages of that topic.
 
     Raises:
         BagError: Two clocks differ.

@@ -63,10 +63,10 @@ def check_task(
     """Refuse a bag in which another task was driven; one that names none is taken.
 
     Args:
-        bag: The bag.
+        bag: Bag whose task is compared.
         custom_data: Its custom data.
         task: Name of the task that is learnt.
-        digest: Its digest.
+        digest: Digest of that task.
         allowed: Whether a line takes the place of the refusal.
         tell: Takes that line; warns unless given.
 

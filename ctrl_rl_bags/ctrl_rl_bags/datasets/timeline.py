@@ -94,7 +94,7 @@ def read_timeline(bag: Bag, wiring: Wiring, options: ExtractionOptions, pictures
 
     Args:
         bag: Bag that is open.
-        wiring: Its topics.
+        wiring: Topics of the drive.
         options: Clock, and length of the steps.
         pictures: Whether a frame needs a picture.
         tell: Takes lines about what was left out.

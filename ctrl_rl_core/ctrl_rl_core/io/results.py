@@ -18,8 +18,8 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io import checked_json
 from ctrl_rl_core.io.atomic_write import atomic_write
 from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io.folder_lock import folder_lock
 from ctrl_rl_core.io.schema import Anything, Name, Schema
-from ctrl_rl_core.processes.exclusive_lock import folder_lock
 
 
 class ResultsError(CtrlRlError):
