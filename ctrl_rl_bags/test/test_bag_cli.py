@@ -248,3 +248,15 @@ def test_a_topic_whose_name_is_none_is_not_played(tmp_path):
     first, second = errors.strip().splitlines()
     assert first.startswith("bag play: /bad name\\n is not played: Invalid topic name")
     assert second.endswith("there is nothing to play")
+
+
+@pytest.mark.fault
+def test_a_bag_whose_first_messages_have_time_zero_is_played_at_once(tmp_path, capsys):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic(Topic("/talk", "std_msgs/msg/String", message_definition("std_msgs/msg/String")))
+        for k in range(10):
+            bag.write("/talk", serialize_message(String(data=str(k))), 0 if k < 5 else 1_750_000_000 * 10**9 + k)
+    assert main(["play", str(tmp_path / "bag"), "--wait-for-subscribers", "0"]) == 0
+    said = capsys.readouterr()
+    assert "10 messages played" in said.out
+    assert "s without messages are skipped" in said.err

@@ -32,6 +32,8 @@ from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
 """Depth of latched topics, enough for every node's /tf_static; the middleware does not tell the recorded one."""
+_LONGEST_NS = 86_400 * 10**9
+"""Nobody waits longer for the next message."""
 _CLOCK_HZ = 100.0
 _SETTLE_S = 0.2
 _ACKNOWLEDGE_S = 2.0
@@ -93,7 +95,7 @@ class _Player:
     ) -> None:
         self._info = info
         self._how = how
-        self._stop = stop
+        self._stop, self._warn = stop, warn
         self._publishers = _publishers(node, info, how, warn)
         self._clock = node.create_publisher(Clock, "/clock", 1) if how.clock else None
 
@@ -135,12 +137,17 @@ class _Player:
         """Yield each message at its time, the clock ticking in between, until stopped."""
         begin = time.monotonic()
         tick = begin
+        skipped, before = 0, self._first
         for message in self._messages():
-            due = begin + max(0, message.log_time - self._first) * 1e-9 / self._how.rate
+            gap, before = message.log_time - before, max(before, message.log_time)
+            if gap > _LONGEST_NS:  # the first messages of a simulation may have the time 0
+                self._warn(f"{gap * 1e-9:.0f} s without messages are skipped")
+                skipped += gap
+            due = begin + max(0, message.log_time - self._first - skipped) * 1e-9 / self._how.rate
             while not self._stop.is_set():
                 now = time.monotonic()
                 if self._clock is not None and now >= tick:
-                    bag_time = Time(nanoseconds=self._first + int((now - begin) * self._how.rate * 1e9))
+                    bag_time = Time(nanoseconds=self._first + skipped + int((now - begin) * self._how.rate * 1e9))
                     self._clock.publish(Clock(clock=bag_time.to_msg()))
                     tick = now + 1.0 / _CLOCK_HZ
                 if now >= due:
