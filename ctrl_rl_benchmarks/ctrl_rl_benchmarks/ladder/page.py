@@ -25,7 +25,7 @@ def draw_pages(tasks: Sequence[NavigationTask], path: Path) -> Iterator[Path]:
 def _draw_page(shown: Sequence[NavigationTask], path: Path) -> None:
     rows = -(-len(shown) // _COLUMNS)
     sizes = np.max([[side.length for side in task.plane_bounds.values()] for task in shown], axis=0)
-    with picture(path, "", rows, _COLUMNS, height=0.2 + 2.2 * rows) as (_, axes):
+    with picture(path, "", rows, _COLUMNS, height=0.2 + 1.75 * rows) as (_, axes):
         for ax in axes.flat[len(shown) :]:
             ax.set_axis_off()
         for ax, task in zip(axes.flat, shown, strict=False):
