@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_benchmarks ctrl_rl_offline ctrl_rl_robot ctrl_rl_bringup ctrl_rl
 
-.PHONY: help setup build demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack referee behaviour navigator docs picture results lock clean
+.PHONY: help setup build build-demo demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack referee behaviour navigator docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -16,16 +16,20 @@ setup: ## make the Python environment .venv
 build: setup ## build the workspace with colcon
 	@scripts/build
 
-demo: build ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
+build-demo: ## the same with what a drive needs alone, without torch
+	@scripts/setup requirements/demo.txt
+	@scripts/build
+
+demo: build-demo ## drive the corridor, record it, report (ARGS="--seed 3 --speed 2")
 	@$(RUN) ros2 run ctrl_rl_bringup demo $(ARGS)
 
-demo-car: build ## drive a car by a policy learnt with the time to reach (TASK=car_navigation: with V_oc; ARGS="--seed 3")
+demo-car: build-demo ## drive a car by a policy learnt with the time to reach (TASK=car_navigation: with V_oc; ARGS="--seed 3")
 	@$(RUN) ros2 run ctrl_rl_bringup demo --task $${TASK:-car_ttr} $(ARGS)
 
-demo-quadrotor: build ## fly a planar quadrotor by a policy learnt with V_oc (TASK=quad_ttr: with the time to reach)
+demo-quadrotor: build-demo ## fly a planar quadrotor by a policy learnt with V_oc (TASK=quad_ttr: with the time to reach)
 	@$(RUN) ros2 run ctrl_rl_bringup demo --task $${TASK:-quad_navigation} $(ARGS)
 
-demo-options: build ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
+demo-options: build-demo ## let three TurtleBots carry parcels under the coordinator, record it, draw who did what when
 	@$(RUN) ros2 run ctrl_rl_bringup options_demo $(ARGS)
 
 trials: build ## drive 100 corridors of random width from random starts, then with a real robot's lidar, commands and delay
