@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.plots import draw_map, draw_path, draw_values, picture, word_at
+from ctrl_rl_core.plots import draw_map, draw_path, draw_values, named_value, picture, word_at
 from ctrl_rl_core.values.plane import plane_of
 from numpy.typing import NDArray
 
@@ -43,7 +43,7 @@ def draw_heat_map(
     states = plane.states(_centres(first, cells), _centres(second, cells), chosen)
     values = value.value(states)
     free = np.where(values > task.rewards.collision + 1e-6, values, np.nan)
-    title = f"{task.name}: " + ", ".join(f"{name} = {chosen.get(name, 0.0):.3g}" for name in plane.others)
+    title = f"{task.name}: " + ", ".join(named_value(name, chosen.get(name, 0.0)) for name in plane.others)
     with picture(path, title, height=4.6) as (figure, ((axes,),)):
         draw_map(axes, task)
         shown = draw_values(axes, _centres(first, cells), _centres(second, cells), free, "return")

@@ -29,8 +29,8 @@ from ctrl_rl_core.plots.roles import (
     SMALL,
     VALUE_MAP,
     Style,
-    degrees,
     greys,
+    named_value,
     style_of,
 )
 from ctrl_rl_core.plots.series import Series, draw_series
@@ -59,7 +59,6 @@ __all__ = [
     "Series",
     "Style",
     "best_of",
-    "degrees",
     "draw_counts",
     "draw_ends",
     "draw_landmark",
@@ -81,6 +80,7 @@ __all__ = [
     "moving_picture",
     "name_at_end",
     "name_axes",
+    "named_value",
     "picture",
     "save_figure",
     "set_title",

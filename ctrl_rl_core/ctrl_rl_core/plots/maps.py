@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core.geometry.shapes import ArcPath, Box, Shape
 from ctrl_rl_core.geometry.units import Interval
 from ctrl_rl_core.plots.roles import COUNTS, FAINT, GOAL, RETURNS, SIGNED, UNKNOWN, VALUES, WALL
-from ctrl_rl_core.plots.words import word_at
+from ctrl_rl_core.plots.words import SOLID, word_at
 from ctrl_rl_core.tasks.task import NavigationTask
 
 Array = NDArray[np.float64]
+_WALL: dict[str, Any] = {"color": WALL, "linewidth": 0, "zorder": 3, "gid": SOLID}
 _GOAL: dict[str, Any] = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 1.6, "hatch": "//", "zorder": 4}
 _SEEN = {"xy": "seen from above", "xz": "seen from the side"}
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
@@ -140,8 +141,8 @@ def _solid(shape: Shape) -> Patch:
     if isinstance(shape, Box):
         corner = (shape.centre[0] - 0.5 * shape.size[0], shape.centre[1] - 0.5 * shape.size[1])
         angle = float(np.rad2deg(shape.angle))
-        return Rectangle(corner, *shape.size, angle=angle, rotation_point="center", color=WALL, linewidth=0, zorder=3)
-    return Circle(shape.centre, shape.radius, color=WALL, linewidth=0, zorder=3)
+        return Rectangle(corner, *shape.size, angle=angle, rotation_point="center", **_WALL)
+    return Circle(shape.centre, shape.radius, **_WALL)
 
 
 def _goal(task: NavigationTask, path: ArcPath | None, width: float | None) -> list[Patch]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctrl_rl_core.tasks.regions import ANGLES
+
 FULL, HALF = 7.0, 3.4
 """Widths of a picture: the page's column of 688 px, and half of it [in]."""
 SMALL, TEXT, TITLE = 8.0, 9.0, 10.0
@@ -101,6 +103,8 @@ def greys(count: int) -> list[str]:
     return [f"{level:.2f}" for level in np.linspace(0.93, 0.6, count)]
 
 
-def degrees(angle: float) -> str:
-    """Return an angle [rad] in degrees, with the arrow that points there."""
-    return f"{np.rad2deg(angle):.0f}° {'→↗↑↖←↙↓↘'[round(angle / (0.25 * np.pi)) % 8]}"
+def named_value(name: str, value: float) -> str:
+    """Return a state's name and value; an angle [rad] in degrees, with the arrow that points there."""
+    if name not in ANGLES:
+        return f"{name} = {value:.3g}"
+    return f"{name} = {np.rad2deg(value):.0f}° {'→↗↑↖←↙↓↘'[round(value / (0.25 * np.pi)) % 8]}"

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core.plots.roles import SMALL
 
-_NAME, _WORD = "name of a line", "word beside a place"
+_NAME, _WORD, SOLID = "name of a line", "word beside a place", "wall or obstacle"
 _GAP = 2.0
+_ON_WALL, _FAR = 0.1, 0.01
+"""What a word costs on a wall, and for each point from its place, in points of a line that it covers."""
 _CLOSE = 4.0
 """Distance of points by which a line is told [pixels]."""
 _REACH = (7.0, 12.0, 18.0, 28.0, 42.0, 60.0)
@@ -96,9 +98,10 @@ def place_names(axes: Axes) -> None:
 
 
 def place_words(axes: Axes) -> None:
-    """Move each word to the first place beside its own where it covers no line and no other word, inside the panel."""
+    """Move each word to where it covers no line and no other word, few walls, and is near to its place."""
     words = [text for text in axes.texts if isinstance(text, Annotation) and text.get_gid() == _WORD]
     points = line_points(axes)
+    walls = [patch.get_window_extent() for patch in axes.patches if patch.get_gid() == SOLID]
     there: list[Bbox] = [text.get_window_extent() for text in axes.texts if text not in words]
     for word in words:
         best, least = None, np.inf
@@ -109,11 +112,10 @@ def place_words(axes: Axes) -> None:
                 word.set_verticalalignment(_HEIGHTS[up])
                 box = word.get_window_extent().padded(2.0)
                 covered = covers(box, points) + 50.0 * sum(box.overlaps(other) for other in there)
+                covered += _ON_WALL * min(sum(box.overlaps(wall) for wall in walls), 5) + _FAR * reach
                 covered += 0.0 if _within(box, axes.bbox) else 1000.0
                 if covered < least:
                     best, least = (reach, across, up), covered
-            if least == 0.0:
-                break
         assert best is not None
         reach, across, up = best
         word.xyann = (across * reach, up * reach)

@@ -11,8 +11,8 @@ from ctrl_rl_core.plots import BLACK, FAINT, MOST_LINES, ROBOTS, name_at_end, pi
 
 from ttr_reward_node.verification.cost import exponent
 
-_LOOKS = tuple(zip((*ROBOTS, BLACK, FAINT), "osD^v", strict=True))
-"""Colour and marker of each system; where several have as many states, the first of them is drawn."""
+_LOOKS = tuple(zip((*ROBOTS, BLACK, BLACK), ("o-", "s-", "D-", "^-", "v--"), strict=True))
+"""Colour and line of each system; where several have as many states, the first of them is drawn."""
 
 
 def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -26,11 +26,11 @@ def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     with picture(path, f"Time to reach, {rows[0]['method'].replace('_', '-')}: CPU time grows with the points, up to "
                  f"{largest / 1e6:.1f} million of them", height=3.4) as (_, ((axes,),)):  # fmt: skip
         first = {name.partition("D")[0]: name for name in reversed([row["system"] for row in rows])}
-        for name, (colour, marker) in zip(sorted(first.values())[-MOST_LINES:], _LOOKS, strict=False):
+        for name, (colour, line) in zip(sorted(first.values())[-MOST_LINES:], _LOOKS, strict=False):
             mine = [row for row in rows if row["system"] == name]
             points, seconds = (np.array([row[key] for row in mine]) for key in ("points", "cpu_s"))
             slope = f" (exponent {exponent(mine):.2f})" if np.sum(points >= 9e3) > 1 else ""
-            axes.plot(points, seconds, color=colour, marker=marker, markersize=4)
+            axes.plot(points, seconds, line, color=colour, markersize=4)
             name_at_end(axes, f"{name}{slope}", float(seconds[-1]), colour)
         points = np.array([min(row["points"] for row in rows), largest], dtype=np.float64)
         middle = np.exp(np.mean(np.log([row["cpu_s"] / row["points"] for row in rows if row["points"] > 1e4])))

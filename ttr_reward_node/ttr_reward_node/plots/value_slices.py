@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.plots import degrees, draw_values, draw_world, name_axes, picture
+from ctrl_rl_core.plots import draw_values, draw_world, name_axes, named_value, picture
 from ctrl_rl_core.tasks.regions import ANGLES
 from ctrl_rl_core.values.plane import plane_of
 from numpy.typing import NDArray
@@ -60,16 +60,12 @@ def draw_slices(
         for panel, layer, ax in zip(values, slices, axes.flat, strict=False):
             image = draw_values(ax, x, y, layer, "signed" if safety else "time", span)
             draw_world(ax, task)
-            ax.set_title(", ".join(f"{name} = {_shown(name, value)}" for name, value in panel.items()))
+            ax.set_title(", ".join(named_value(name, value) for name, value in panel.items()))
             ax.set_xlim(first.lower, first.upper)
             ax.set_ylim(second.lower, second.upper)
             name_axes(ax, first.name, second.name)
             ax.label_outer()
         figure.colorbar(image, ax=list(axes.flat), label="safety value [m]" if safety else "time to reach [s]")
-
-
-def _shown(name: str, value: float) -> str:
-    return degrees(value) if name in ANGLES else f"{value:.3g}"
 
 
 def _panels(others: Sequence[str], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
