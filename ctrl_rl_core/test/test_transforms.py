@@ -187,3 +187,46 @@ def test_scans_of_a_real_drive_agree_where_its_transforms_put_them(real_drive: P
     assert np.ptp(np.array(poses)[:, :2], axis=0).max() > 1.0  # the robot drove
     apart = [np.median(cKDTree(one).query(other)[0]) for one, other in pairwise(placed)]
     assert np.median(apart) < 0.05
+
+
+def quarrel(*publishers: tuple[str, float], count: int = 20, rate: float = 20.0) -> TransformTree:
+    """Return a tree in which each publisher in turn says where the base is, by its parent and its x."""
+    tree = TransformTree()
+    tree.set("map", "odom", planar(0.0, 0.0, 0.0), 0, 0.0, fixed=True)
+    for number in range(count):
+        parent, x = publishers[number % len(publishers)]
+        now = number / rate
+        tree.set(parent, "base", planar(x + 0.2 * now, 0.0, 0.0), round(now * SECOND), now)
+    return tree
+
+
+@pytest.mark.fault
+def test_two_publishers_of_one_transform_leave_the_pose_unknown() -> None:
+    tree = quarrel(("odom", 0.0), ("odom", 0.0), ("odom", 0.8))
+    source = TransformPose(tree, "map", 2.0)
+    source.base = "base"
+    with pytest.raises(
+        TransformError, match=r"'odom' to 'base' jumps by 0\.\d\d m to and fro: do two nodes publish it"
+    ):
+        source.pose(1.0)
+    for number in range(60):
+        tree.set("odom", "base", planar(0.2, 0.0, 0.0), (number + 25) * SECOND // 20, 1.0 + number / 20)
+    assert source.pose(4.0)[0] == pytest.approx(0.2), "one of them has gone"
+
+
+@pytest.mark.fault
+def test_a_frame_with_two_parents_leaves_the_pose_unknown() -> None:
+    source = TransformPose(quarrel(("odom", 0.0), ("map", 0.6)), "map", 2.0)
+    source.base = "base"
+    with pytest.raises(TransformError, match="'base' has two parents: 'map' and 'odom'"):
+        source.pose(1.0)
+
+
+def test_a_correction_and_a_robot_that_turns_back_are_no_contradiction() -> None:
+    tree = quarrel(("odom", 0.0))
+    tree.set("odom", "base", planar(3.0, 1.0, 2.0), 2 * SECOND, 1.1)
+    assert tree.contradiction("map", "base", 1.2) == ""
+    for number in range(200):
+        now = 2.0 + number / 20
+        tree.set("odom", "base", planar(0.1 * math.sin(now), 0.0, 0.5 * math.sin(5.0 * now)), round(now * SECOND), now)
+        assert tree.contradiction("map", "base", now) == ""

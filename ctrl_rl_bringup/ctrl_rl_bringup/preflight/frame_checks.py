@@ -49,6 +49,8 @@ def check_tree(heard: Recording, limits: Limits) -> Iterator[Finding]:
         parents = " and ".join(tree.parents(torn[0]))
         advice = "two nodes publish the transform: end one (or publish_tf:=false)"
         yield no_go("frame tree", f"frame {torn[0]} has two parents: {parents}", advice)
+    elif tree.conflict:
+        yield no_go("frame tree", tree.conflict, "two nodes publish the transform: end one (or publish_tf:=false)")
     elif tree.between(base, scan) is None:
         yield no_go("frame tree", f"no transform from {base} to {scan}", _STATE_PUBLISHER)
     elif tree.between(odom, base) is None:

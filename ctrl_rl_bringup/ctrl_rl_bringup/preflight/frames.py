@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from ctrl_rl_core.navigation.transform_conflicts import TransformConflicts
 from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
@@ -31,9 +32,15 @@ class Link:
 
 
 class FrameTree:
-    """Links between frames; a child with two parents keeps both, because that is a fault."""
+    """Links between frames; a child with two parents keeps both, because that is a fault.
+
+    Attributes:
+        conflicts: What was heard of each transform, to tell two publishers of one.
+        conflict: The first contradiction between transforms; empty for none.
+    """
 
     def __init__(self) -> None:
+        self.conflicts, self.conflict = TransformConflicts(), ""
         self._links: dict[str, dict[str, Link]] = {}
 
     def add(self, link: Link) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
-from ctrl_rl_core.ros.node import LATCHED, seconds
+from ctrl_rl_core.ros.node import LATCHED, nanoseconds, seconds
 from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES, OdometryError, OdometryReader, read_odometry
 from ctrl_rl_core.sensing.pose import PoseError, read_planar_pose
 from ctrl_rl_core.sensing.scan import read_scan
@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, LaserScan
 
-from ctrl_rl_bringup.preflight.frames import FrameTree, Link, pose_matrix
+from ctrl_rl_bringup.preflight.frames import FrameTree, Link, planar_pose, pose_matrix
 from ctrl_rl_bringup.preflight.recording import (
     Battery,
     Endpoint,
@@ -179,3 +179,6 @@ class Listener(Node):
             age = float("nan") if static else self._now() - seconds(each.header.stamp)
             parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
             tree.add(Link(parent, child, matrix, age, static))
+            yaw, stamp = planar_pose(matrix)[2], nanoseconds(each.header.stamp)
+            tree.conflicts.note(parent, child, matrix[:3, 3], yaw, stamp, time.monotonic(), static)
+            tree.conflict = tree.conflict or tree.conflicts.any_fault(time.monotonic())

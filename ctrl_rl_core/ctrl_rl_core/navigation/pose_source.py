@@ -115,6 +115,8 @@ class TransformPose(PoseSource):
         age = self._tree.age(self._map, self.base, now)
         if not age <= self._timeout:
             raise TransformError(f"the transform from '{self._map}' to '{self.base}' is {age:.1f} s old")
+        if conflict := self._tree.contradiction(self._map, self.base, now):
+            raise TransformError(conflict)
         return found.pose
 
     def frame_in_map(self, frame: str) -> Transform:  # noqa: D102

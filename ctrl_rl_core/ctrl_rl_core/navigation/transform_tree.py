@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.navigation.transform_conflicts import TransformConflicts
 from ctrl_rl_core.sensing.pose import PoseError, read_pose, yaw_of
 
 Array = NDArray[np.float64]
@@ -138,6 +139,7 @@ class TransformTree:
     def __init__(self, memory: float = 10.0) -> None:
         self._memory = round(1e9 * memory)
         self._links: dict[str, _Link] = {}
+        self._conflicts = TransformConflicts()
 
     def update(self, message: Any, now: float, fixed: bool = False) -> str:
         """Take a tf2_msgs/TFMessage and return what was refused of it; empty for nothing.
@@ -181,6 +183,7 @@ class TransformTree:
             if link is None and len(self._links) >= MOST_FRAMES:
                 raise TransformError(f"more than {MOST_FRAMES} frames")
             link = self._links[child] = _Link(parent, fixed)
+        self._conflicts.note(parent, child, transform.translation, float(transform.pose[2]), stamp, now, fixed)
         link.heard = now
         link.add(stamp, transform, self._memory)
 
@@ -212,6 +215,14 @@ class TransformTree:
         """
         links = [self._links[frame] for way in self._ways(target, source) for frame in way]
         return max((now - link.heard for link in links if not link.fixed), default=0.0)
+
+    def contradiction(self, target: str, source: str, now: float) -> str:
+        """Return what contradicts what among the transforms between two frames at a steady time [s]; empty for nothing.
+
+        Raises:
+            TransformError: No chain of transforms joins the frames.
+        """
+        return self._conflicts.fault([frame for way in self._ways(target, source) for frame in way], now)
 
     def _at(self, frame: str, stamp: int | None) -> Transform:
         link = self._links[frame]
