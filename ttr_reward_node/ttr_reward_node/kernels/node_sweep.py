@@ -265,31 +265,16 @@ def _interpolate(
         if rule.curved:
             total += _bend(values, grid, corners, own) / (np.float32(1.0) - corners.own)
         return total
-    total, reachable, low, high = np.float32(0.0), np.float32(0.0), np.float32(1.0), np.float32(0.0)
+    total, reachable = np.float32(0.0), np.float32(0.0)
     for c in range(corners.size):
         v = values[corners.offset[c]]
         if v > 0.0 and not (past and v == 1.0):
             total += corners.weight[c] * v
             reachable += corners.weight[c]
-            low, high = min(low, v), max(high, v)
     if rule.jump == np.inf:
         return total  # past the target, in the first phase
-    jumps = high - low > rule.jump * high
-    if long and (jumps or reachable < 0.9999):
-        return np.float32(0.0)
-    if reachable == 0.0 or (reachable < rule.enough and not past):
-        return np.float32(0.0)
-    if jumps:
-        middle = np.float32(0.5) * (high + low)
-        upper, weight = np.float32(0.0), np.float32(0.0)
-        for c in range(corners.size):
-            v = values[corners.offset[c]]
-            if v > middle and not (past and v == 1.0):
-                upper += corners.weight[c] * v
-                weight += corners.weight[c]
-        if weight + weight >= reachable:
-            return upper / weight
-        return (total - upper) / (reachable - weight)
+    if long or reachable == 0.0 or (reachable < rule.enough and not past):
+        return np.float32(0.0)  # a long step has to end where all is reachable and smooth
     return total / reachable
 
 

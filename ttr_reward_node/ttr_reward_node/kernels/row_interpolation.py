@@ -261,22 +261,12 @@ def interpolate_node(values: Floats, stencil: Stencil, rule: RowRule, j: int, pa
             low, high = min(low, v), max(high, v)
     if rule.jump == np.inf:
         return total
-    if stencil.long and (reachable < 0.9999 or high - low > rule.jump * high):
+    jumps = high - low > rule.jump * high
+    if stencil.long and (jumps or reachable < 0.9999):
         return np.float32(0.0)
     if reachable == 0.0 or (reachable < rule.enough and not past):
         return np.float32(0.0)
-    if high - low > rule.jump * high:
-        middle = np.float32(0.5) * (high + low)
-        upper, upper_weight = np.float32(0.0), np.float32(0.0)
-        for c in range(stencil.size):
-            v = _corner(values, stencil, rule, c, j)
-            if v > middle and not (past and v == 1.0):
-                upper += stencil.corner_weight[c] * v
-                upper_weight += stencil.corner_weight[c]
-        if upper_weight + upper_weight >= reachable:
-            return upper / upper_weight
-        return (total - upper) / (reachable - upper_weight)
-    if reachable < 0.9999:
+    if jumps or reachable < 0.9999:
         return total / reachable
     for q in range(stencil.curves):
         if stencil.curve_begin[q] <= j < stencil.curve_end[q]:

@@ -81,7 +81,7 @@ class SweepSettings(NamedTuple):
 
     Attributes:
         rate: Rate lambda of the transform [1/s].
-        jump: Difference of phi across a cell that no slope makes [s]: the corners on the heavier side count alone.
+        jump: Difference of phi across a cell that no slope makes [s]: no curvature is added to it.
             Infinite: unreachable corners count as w = 0.
         enough: Weight of the corners that must be reachable for a step to count.
         quiet: Largest change of phi that does not wake the rows that look at this one [s].

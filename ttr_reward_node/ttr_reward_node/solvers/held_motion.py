@@ -99,8 +99,7 @@ def move_cells(
         spacings: Spacing of each axis (n,), in its unit.
         room: Distances to the limits.
         cells: Length of the steps [cells].
-        patience: Multiple of the duration of the fastest pair at a state after which the others end as well: in a game,
-            who holds on for longer would know what the other one does next.
+        patience: Multiple of the duration of the fastest pair at a state after which the others end as well.
     """
     first = _rates(system, x, pairs, spacings)
     fastest = np.abs(first).max(axis=-1)

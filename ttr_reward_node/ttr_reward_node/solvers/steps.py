@@ -28,7 +28,7 @@ _BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the ca
 _SOME = 4096  # nodes whose rates tell which controls are worth trying
 _FEW_AXES, _MANY_AXES = 2, 4
 _STIFF = 0.2  # of the time in which the slowest axis crosses a cell at its top speed: in less only the fastest moves
-_PATIENCE = 1.5  # in a game: durations of the fastest pair at a node for which the others hold on at most
+_PATIENCE = 1.5  # in a game in space: durations of the fastest pair at a node for which the others hold on at most
 _GRAZE = 0.25  # cells: a path that comes this far beyond a node has not left it
 _MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
 PARTS = 8
@@ -163,12 +163,15 @@ def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
     Under about one cell a node refers to itself. Lengths without a common divisor reach every heading of a lattice.
     Each interpolation blurs the value a little, most where the best path runs along a kink (a car that brakes as late
     as it can), so long steps make it exacter; the shortest finds the moment to switch. In a game both would hold a
-    disturbance for longer than it would hold itself.
+    disturbance for longer than it would hold itself, and near obstacles whoever steers by the values of long steps
+    drives over the edges.
     """
-    if any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances):
+    game = any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances)
+    if len(problem.axes) <= _FEW_AXES:
+        return (2.0, 3.0, 7.0) if game else (2.0, 3.0, 7.0, 15.0)
+    if game or problem.clearance is not None or not make_layout(problem).inner:
         return (2.0, 3.0)
-    # In three dimensions and more, longer ones cost more than they gain.
-    return (1.0, 2.0, 3.0, 7.0, 15.0) if len(problem.axes) <= _FEW_AXES else (2.0, 3.0)
+    return (1.0, 7.0) if len(problem.axes) < _MANY_AXES else (1.0, 2.0, 7.0)
 
 
 def tried_controls(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:
@@ -199,6 +202,9 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
     keep = np.tile(useful, disturbances)
     held = HeldPairs(u[keep], d[keep])
     shape = (layout.slabs, disturbances, len(cells), int(useful.sum()))
+    # Who holds on for longer knows what the other one does next: in space that moves the barriers of a pursuit. In a
+    # plane the grid is finer, and a weak control beside a strong one needs its time, or it would never move a cell.
+    patience = _PATIENCE if disturbances > 1 and len(problem.axes) > _FEW_AXES else None
     durations = np.empty(shape, np.float32)
     ends = np.empty((*shape, len(layout.order)), np.int16)
     ranges = np.empty((*shape, len(layout.inner), 2), np.int8)
@@ -206,9 +212,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
         x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
         room = _room(problem, layout, x)
         for i, length in enumerate(cells):
-            motion = move_cells(
-                problem.system, x, held, spacings, room, length, _PATIENCE if disturbances > 1 else None
-            )
+            motion = move_cells(problem.system, x, held, spacings, room, length, patience)
             path = motion.path(PARTS)
             h = np.where(_leaves(problem, layout, x, path), 0.0, motion.durations)
             path = path[..., layout.order]

@@ -16,7 +16,7 @@ from ttr_reward_node.solvers.near_nodes import NearNodes
 from ttr_reward_node.solvers.steps import Layout
 from ttr_reward_node.solvers.threads import share
 
-_LARGE = 1_000_000  # nodes from which on a sweep is worth two threads
+_LARGE = 50_000, 1_000_000  # nodes from which on a sweep is worth two threads: each by itself, or in rows alike
 _THICK = 8  # nodes along the first axis in each of two parts: what is at their border is one sweep old
 _FULL_EVERY = 3  # of the sweeps over single nodes, one in so many tries all steps
 
@@ -36,7 +36,7 @@ class Sweeper(Protocol):
 def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) -> Sweeper:
     """Return the sweeper for a layout: where no axis is an inner one, no two nodes share their steps."""
     thick = len(layout.order) > 1 and bool(layout.outer) and int(layout.counts[0]) >= 2 * _THICK
-    parts = 2 if near.flags.size >= _LARGE and thick else 1
+    parts = 2 if near.flags.size >= _LARGE[1 if layout.inner else 0] and thick else 1
     return (_RowSweeper if layout.inner else _NodeSweeper)(grid, table, near, parts)
 
 
