@@ -1,9 +1,12 @@
 """The front door: each public name has a runnable example, and the package alone imports nothing heavy."""
 
 import doctest
+import importlib
+import re
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +20,14 @@ FACES = ("solve", "TimeToReachReward", "TimeToReach", "train", "drive", "transit
 def test_each_face_has_an_example():
     assert set(FACES) <= set(EXAMPLES)
     assert dir(ctrl_rl) == sorted(ctrl_rl.__all__)
+
+
+def test_each_name_is_on_the_page_of_names():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "api.md").read_text("utf-8")
+    assert set(re.findall(r"^## ctrl_rl\.(\w+)$", page, re.MULTILINE)) == set(ctrl_rl.__all__)
+    for path in re.findall(r"^::: (\S+)$", page, re.MULTILINE):
+        module, _, name = path.rpartition(".")
+        assert hasattr(importlib.import_module(module), name)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
