@@ -13,6 +13,7 @@ import rclpy
 import yaml
 from commands import command, start
 from ctrl_rl_core.policies.policy import load_policy
+from ctrl_rl_core.ros.node import to_stamp
 from ctrl_rl_core.ros.running import initialise
 from ctrl_rl_offline.data.values import _solvable
 from ctrl_rl_robot.environment.rewards import StepReward
@@ -96,6 +97,36 @@ def stand(folder: Path) -> Iterator[Callable[..., Stand]]:
     yield make
     for each in stands:
         each.ros.close()
+        rclpy.try_shutdown()
+
+
+@pytest.mark.fault
+def test_a_scan_from_the_future_blinds_nobody_and_what_is_kept_must_be_fresh() -> None:
+    initialise(["test", *ARGUMENTS, *OPEN])
+    _, interface = read_policy("car_navigation", motion=True)
+    node = RobotNode(interface)
+    try:
+
+        def scan(ahead: float) -> float:
+            """Take a scan so far ahead of the clock [s], and return how far what is kept is ahead of it."""
+            now = node.get_clock().now().nanoseconds
+            message = LaserScan(angle_increment=2.0 * np.pi / 180, range_min=0.1, range_max=5.0, ranges=[1.0] * 180)
+            message.header.stamp = to_stamp(now + round(ahead * 1e9))
+            node._on_scan(message)
+            return node.stamp - 1e-9 * now
+
+        assert scan(0.0) == pytest.approx(0.0, abs=0.01)
+        assert scan(3600.0) == pytest.approx(0.0, abs=0.01)
+        assert scan(0.01) == pytest.approx(0.01, abs=0.01), "the next one counts"
+        deadline = time.monotonic() + 10.0
+        while "no recent scan to drive by: a scan of 3600.0 s ahead" not in node._stale_scan():
+            assert time.monotonic() < deadline
+            scan(3600.0)
+            time.sleep(0.05)
+        scan(0.0)
+        assert node._stale_scan() == ""
+    finally:
+        node.destroy_node()
         rclpy.try_shutdown()
 
 

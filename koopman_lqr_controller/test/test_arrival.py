@@ -33,6 +33,21 @@ def test_it_ends_when_the_distance_is_driven_and_not_before(steps: list[tuple[fl
     assert not arrival.reason()
 
 
+@pytest.mark.fault
+def test_the_way_of_the_pose_counts_where_the_twist_is_zero() -> None:
+    arrival = Arrival(0.3)
+    for number in range(200):
+        arrival.moved(0.1 * number, 1e-12)
+        arrival.went(5.0 + 0.001 * (number % 2), 1.0)
+    assert arrival.travelled < 1e-6, "a robot that stands drives nowhere in a little noise"
+    for number in range(32):
+        arrival.went(5.0, 1.0 + 0.01 * number)
+    assert arrival.reason().startswith(f"{ENDED}0.3 m driven")
+    arrival.begin()
+    arrival.went(-90.0, 0.0)
+    assert arrival.travelled == 0.0, "another origin is no way"
+
+
 def test_numbers_that_make_no_sense_do_not_move_it() -> None:
     arrival = Arrival(1.0)
     for now, speed in ((0.0, 1e9), (0.5, float("nan")), (0.6, float("inf")), (float("nan"), 1.0), (-1e9, 1.0)):

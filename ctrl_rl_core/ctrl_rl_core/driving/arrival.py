@@ -9,6 +9,8 @@ from ctrl_rl_core.tasks.outcome import Outcome
 ENDED = "the drive is over: "
 """First words of every reason of this module."""
 _LONGEST_STEP_S = 1.0
+_NOISE, _LEAP = 0.02, 1.0
+"""Way of a pose that may be noise, and from which on it has another origin instead [m]."""
 
 
 class Arrival:
@@ -16,7 +18,7 @@ class Arrival:
 
     Attributes:
         max_distance: Distance after which the robot stands [m]; 0 for none.
-        travelled: Distance by odometry since the drive began [m].
+        travelled: Distance by odometry since the drive began, the larger of its pose's and its twist's [m].
     """
 
     def __init__(self, max_distance: float) -> None:
@@ -25,11 +27,12 @@ class Arrival:
         self._outcome = Outcome.RUNNING
         self._episode: int | None = None
         self._last = math.nan
+        self._place: tuple[float, float] | None = None
         self.begin()
 
     def begin(self) -> None:
         """Count the distance from here."""
-        self.travelled = 0.0
+        self.travelled = self._by_pose = self._by_twist = 0.0
 
     def episode(self, number: int, outcome: int) -> None:
         """Note number and outcome of an episode, as in EpisodeStatus; a new episode begins a new drive."""
@@ -44,7 +47,18 @@ class Arrival:
         step = now - self._last
         self._last = now
         if 0.0 < step <= _LONGEST_STEP_S and math.isfinite(speed):
-            self.travelled += abs(speed) * step
+            self._by_twist += abs(speed) * step
+            self.travelled = max(self._by_pose, self._by_twist)
+
+    def went(self, x: float, y: float) -> None:
+        """Note a position by odometry [m]: some bases publish a right pose and a twist of zero."""
+        step = math.dist(self._place or (x, y), (x, y))
+        if self._place is not None and step < _NOISE:
+            return
+        self._place = (x, y)
+        if step < _LEAP:
+            self._by_pose += step
+            self.travelled = max(self._by_pose, self._by_twist)
 
     def reason(self) -> str:
         """Return why the robot must stand, empty while the drive goes on."""

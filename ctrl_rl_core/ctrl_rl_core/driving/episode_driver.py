@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.arrival import ENDED, Arrival
 from ctrl_rl_core.driving.lidar_driver import LidarDriver
@@ -28,6 +31,11 @@ class EpisodeDriver(LidarDriver):
         super().__init__(name)
         self._arrival = Arrival(self.settings["max_distance"])
         self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+
+    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:
+        """Count the way by the pose; call it from an override."""
+        super().on_odometry(message, odometry)
+        self._arrival.went(float(odometry[0]), float(odometry[1]))
 
     def check_drive(self, now: float, speed: float) -> None:
         """Note the speed [m/s] by odometry at the time of a scan [s].

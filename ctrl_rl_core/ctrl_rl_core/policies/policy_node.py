@@ -92,6 +92,7 @@ class PolicyNode(EpisodeDriver):
 
     def on_odometry(self, message: Odometry, odometry: Array) -> None:
         """Keep it for the next decision."""
+        super().on_odometry(message, odometry)
         self._odometry = odometry
         self._poses.on_odometry(message, self.frame)
 

@@ -75,6 +75,7 @@ class RobotNode(LidarVelocityNode):
         self._tally = Tally(self.now(), self._last)
         self._odometry: Array | None = None
         self._odometry_stamp = -math.inf
+        self._kept_at, self._scan_fault = -math.inf, ""
         self._scan: tuple[NDArray[np.float32], ScanGeometry, float] | None = None
         self._goal: tuple[Array, str] | None = None
         self._poses = PoseInput(self, self.timeout, self.now)
@@ -179,6 +180,15 @@ class RobotNode(LidarVelocityNode):
         """Time stamp of the last scan [s]; -inf before the first one."""
         return -math.inf if self._scan is None else self._scan[2]
 
+    def input_fault(self) -> str:
+        """Return why scan or odometry allow no motion: what is kept must be fresh, not what comes."""
+        return super().input_fault() or self._stale_scan()
+
+    def _stale_scan(self) -> str:
+        if self._scan is None or self.now() - self._kept_at <= self.timeout:
+            return ""
+        return f"no recent scan to drive by: {self._scan_fault or 'all are out of order'}"
+
     def obstacle_stop(self) -> ObstacleStop:
         """Return no stop: the safety filter keeps clear of obstacles."""
         return ObstacleStop(0.0, 0.0, 1.0, 0.0)
@@ -189,12 +199,18 @@ class RobotNode(LidarVelocityNode):
         self._poses.on_odometry(message, self.frame)
 
     def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep the newest scan, and send the command that is held again."""
-        stamp = seconds(message.header.stamp)
-        late = self.get_clock().now().nanoseconds * 1e-9 - stamp > self.timeout or stamp < self.stamp
-        self._tally.late_scans += late
-        if not stamp < self.stamp:
-            self._scan = (ranges.copy(), scan, stamp)
+        """Keep the newest scan, and send the command that is held again.
+
+        A scan from the future is not kept: all that follow would seem late. One that was kept, before a simulator began
+        anew, makes room for the first of the new time.
+        """
+        stamp, clock = seconds(message.header.stamp), self.get_clock().now().nanoseconds * 1e-9
+        ahead = clock > 0.0 and stamp - clock > self.timeout
+        before = stamp < self.stamp <= clock + self.timeout
+        self._tally.late_scans += ahead or before or clock - stamp > self.timeout
+        if not (ahead or before):
+            self._scan, self._kept_at = (ranges.copy(), scan, stamp), self.now()
+        self._scan_fault = f"a scan of {stamp - clock:.1f} s ahead of the clock" if ahead else ""
         self.send()
 
     def status(self) -> Status:
