@@ -1,16 +1,15 @@
-"""Step a simulated car that is paid the time to reach (thesis Eq. 3.9) at every step.
+"""Step a simulated car that is paid for each second that the goal comes nearer than ever before.
 
 python examples/reward_in_gymnasium.py
 """
 
-from ttr_reward_node.training.training import make_rewarded
+import gymnasium
 
-from ctrl_rl_core import load_navigation_task
-from ttr_reward_node import make_reward, problem_from_task, solve
+import ctrl_rl
 
-task = load_navigation_task("car_ttr")
-value = solve(problem_from_task(task, counts=(61, 61, 48))).grid
-environment = make_rewarded(make_reward("ttr", task, value))
+value = ctrl_rl.solve("car_ttr", counts=(61, 61, 48))
+car = gymnasium.make("sim_bridge.environments:ctrl_rl/car_ttr-v0")
+environment = ctrl_rl.TimeToReachReward(car, value, state="state", per_second=300.0)
 
 observation, info = environment.reset(seed=0)
 print(f"{len(observation)} numbers observed, true state {info['state'].round(2)}")
@@ -21,7 +20,7 @@ for step in range(20):
     reward = float(paid)
     total += reward
     if step % 5 == 0:
-        print(f"step {step}: reward {reward:.2f}, {-reward:.2f} s from the goal at best")
+        print(f"step {step}: reward {reward:.2f}, {info['time_to_reach']:.2f} s from the goal at best")
     if terminated or truncated:
         print(f"ended: {info['outcome']}")
         break
