@@ -43,6 +43,10 @@ _GOODBYE_S = 0.1
 
 LONGEST = (
     "test_referee.py",
+    "test_wheel.py",
+    "test_notebooks.py",
+    "test_front_door.py",
+    "test_time_to_reach_reward.py",
     "test_robot_env.py",
     "test_hostile_nodes.py",
     "test_nodes.py",
