@@ -156,9 +156,10 @@ def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeS
             tell(f"{where}: {(~kept).sum()} messages were received at time 0 and are left out")
         stamps = series.stamps
         if stamps is not None and len(stamps):
-            if (stamps == 0).all() and len(stamps) >= min(_FEWEST, len(series.times)) and received.max() > _BEGUN_NS:
-                tell(f"{where}: its stamps are 0: the times of reception count")
-                series, stamps = replace(series, stamps=None), None
+            if (stamps == 0).all():
+                if len(stamps) > 1 or begun:
+                    tell(f"{where}: its stamps are 0: the times of reception count")
+                    series = replace(series, stamps=None)
             elif (without := (stamps == 0) & kept).any() and stamps[stamps != 0].min() > _BEGUN_NS:
                 tell(f"{where}: {without.sum()} messages are stamped 0 and are left out")
                 kept &= ~without

@@ -42,7 +42,7 @@ def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Ar
         some = slice(first[row], max(last[row], first[row]))
         at, values = commands.times[some], commands.values[some]
         shares = np.minimum(until[some], ends[row]) - np.maximum(at, begins[row])
-        shares = np.where(at >= since[row], np.maximum(shares, 0), 0) / (ends[row] - begins[row])
+        shares = np.where(at >= since[row], np.maximum(shares, 0), 0) / max(ends[row] - begins[row], 1)
         if shares.sum() < _HALF:
             continue
         longest = int(shares.argmax())
