@@ -33,7 +33,8 @@ if ! command -v ros2 >/dev/null; then
     local node code=0
     (trap - INT; exec "$prefix/lib/$2/$3" "${@:4}") <&0 &
     node=$!
-    trap 'kill "$node" 2>/dev/null' TERM
+    trap 'kill "$node" 2>/dev/null' TERM HUP QUIT
+    trap 'kill -INT "$node" 2>/dev/null' INT
     wait "$node" || code=$?
     while kill -0 "$node" 2>/dev/null; do code=0; wait "$node" || code=$?; done  # a signal may end `wait` before the node
     return "$code"

@@ -27,7 +27,9 @@ def pages() -> list[object]:
 def test_a_tutorial_works_as_written(name: str, tmp_path: Path) -> None:
     blocks = _BLOCK.findall((TUTORIALS / f"{name}.md").read_text(encoding="utf-8"))
     assert blocks
-    script = "\n".join(("set -eo pipefail", f". '{ROOT}/scripts/workspace.bash'", *blocks))
+    # Jobs as in a terminal, each a process group of its own; what is left of them ends with the shell.
+    jobs = "set -m; trap 'for job in $(jobs -p); do kill -KILL -- -$job; done' EXIT"
+    script = "\n".join(("set -eo pipefail", jobs, f". '{ROOT}/scripts/workspace.bash'", *blocks))
     said = tmp_path / "said.txt"  # no pipe, which what it starts in the background would hold open
     with said.open("wb") as log:
         shell = subprocess.Popen(
