@@ -42,3 +42,23 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(
     answer = command(report, run)
     assert answer.returncode == 1
     assert "0 lost" in answer.stdout
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+def test_a_demo_that_is_killed_or_hung_up_leaves_a_bag_and_no_node(tmp_path: Path, number: int) -> None:
+    run, log = tmp_path / "run", tmp_path / "log"
+    with log.open("wb") as stream:
+        process = subprocess.Popen([FOLDER / "demo", "--output", run, "--speed", "2"], stdout=stream, stderr=stream)
+    deadline = time.monotonic() + 120.0
+    while "% of the way" not in log.read_text():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline, log.read_text()
+        time.sleep(0.05)
+    nodes = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    process.send_signal(number)
+    process.wait(60.0)
+    while any(Path(f"/proc/{node}").exists() for node in nodes):
+        assert time.monotonic() < deadline, nodes
+        time.sleep(0.05)
+    assert command("report", run).returncode == 1
