@@ -74,7 +74,7 @@ def clock_runs(
         return [{topic: series.at(np.arange(len(series.times)), series.times) for topic, series in read.items()}]
     base = stamped[name]
     assert base.stamps is not None
-    cuts = _resets(base.stamps)
+    cuts = _resets(base.stamps, 0 if paced else _RESET_NS)  # scans of one lidar never fall back
     bases = [base.some(rows) for rows in np.split(np.arange(len(base.times)), cuts)]
     runs: list[dict[str, TimeSeries]] = [{} for _ in bases]
     late: dict[str, list[NDArray[np.float64]]] = {}
@@ -204,8 +204,8 @@ def _span(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 3600.0 else f"{seconds / 86400.0:.1f} days"
 
 
-def _resets(stamps: NDArray[np.int64]) -> NDArray[np.intp]:
-    return np.flatnonzero(np.diff(stamps) < -_RESET_NS) + 1
+def _resets(stamps: NDArray[np.int64], fall: int = _RESET_NS) -> NDArray[np.intp]:
+    return np.flatnonzero(np.diff(stamps) < -fall) + 1
 
 
 def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
