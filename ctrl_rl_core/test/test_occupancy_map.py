@@ -1,5 +1,6 @@
 """Occupancy maps: files of map_server's three modes, messages, geometry, and what is refused."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -165,9 +166,8 @@ def test_no_single_flip_of_a_png_gives_another_map(tmp_path: Path) -> None:
     right = OccupancyMap.load(path)
     for at in range(len(whole)):
         image.write_bytes(whole[:at] + bytes((whole[at] ^ 1 << int(random.integers(8)),)) + whole[at + 1 :])
-        with pytest.raises(MapError):
+        with suppress(MapError):
             assert OccupancyMap.load(path).is_same(right)
-            raise MapError("the flip changes nothing")
     image.write_bytes(whole[:-20])
     with pytest.raises(MapError, match="damaged PNG"):
         OccupancyMap.load(path)

@@ -3,7 +3,7 @@
 class Driver(VelocityNode):
     def __init__(self) -> None:
         super().__init__("driver", needs=("odometry",))
-        self.set_limits((-0.22, -2.84), (0.22, 2.84))
+        self.set_limits(*find_robot("turtlebot3_burger").limits)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
 
     def _on_odometry(self, message: Odometry) -> None:

@@ -49,8 +49,8 @@ class Parameter:
         live: Whether `ros2 param set` may change it while the node runs.
         kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; a ROS name; or the name
             or file of a robot.
-        of_robot: Attribute, such as `lidar.x`, of the robot that the node's parameter of kind `robot` names: its value is
-            the default. Empty where the default is the same for all robots.
+        of_robot: Attribute, such as `lidar.x`, of the robot that the node's parameter of kind `robot` names, whose
+            value is the default. Empty where the default is the same for all robots.
     """
 
     name: str

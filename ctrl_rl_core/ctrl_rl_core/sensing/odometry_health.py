@@ -84,8 +84,8 @@ class OdometryHealth:
                 continue
             explained = float(way[part] @ twist[part]) / size
             self._faults[number] = (
-                f"odometry moves by {size:.2f} {unit} in its pose, of which its {name} explain {round(explained, 2) + 0.0:.2f} {unit}: "
-                "see the twist that the base publishes"
+                f"odometry moves by {size:.2f} {unit} in its pose, of which its {name} explain "
+                f"{round(explained, 2) + 0.0:.2f} {unit}: see the twist that the base publishes"
                 if explained < _EXPLAINED * size
                 else ""
             )

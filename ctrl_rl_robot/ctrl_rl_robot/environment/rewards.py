@@ -55,7 +55,7 @@ class StepReward:
         """Return the reward of a step that led to a state (n,)."""
         if outcome is not Outcome.RUNNING:
             return float(terminal_reward(outcome, self._rewards))
-        return self._progress.step(self._seconds(state), ended=False)
+        return float(self._progress.step(self._seconds(state), ended=False))
 
     def _seconds(self, state: Array) -> float:
         return float(self._value.times(state[None])[0])

@@ -21,7 +21,7 @@ from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import share
 
 _FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
-_BLOCK = 1 << 18  # outcomes that are found at once
+_BLOCK = 1 << 15  # outcomes that are found at once: each takes about 3 kB on the way
 _ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
 
 
