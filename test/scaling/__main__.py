@@ -69,7 +69,7 @@ def main() -> int:
     rows: list[Result] = []
     for name, counts in tqdm(grids, "scaling", unit=" grids", disable=None):
         rows += _rows(name, counts, options.peer)
-    write_results(options.output, "Time to reach on growing grids", [0], rows)
+        write_results(options.output, "Time to reach on growing grids", [0], rows)
     print(*(f"{row.method}: {row.metric} {row.values[0]:.4g} {row.unit}" for row in rows), sep="\n")
     return 0
 
@@ -137,11 +137,11 @@ def _peer_seconds(name: str, counts: tuple[int, ...], horizon: float, peer: Path
 
 
 def _problem(name: str, counts: tuple[int, ...]) -> TimeToReachProblem:
-    if name == "car":
-        return replace(problem_from_task("car_ttr", counts=counts), clearance=None)
-    if name.startswith("planar quadrotor"):
-        return replace(problem_from_task("quad_ttr", counts=counts), clearance=None)
-    return _pendulum_pair(counts)
+    if name == "pendulum pair":
+        return _pendulum_pair(counts)
+    task = problem_from_task("car_ttr" if name == "car" else "quad_ttr")
+    axes = tuple(replace(axis, count=count) for axis, count in zip(task.axes, counts, strict=True))
+    return replace(task, axes=axes, clearance=None)
 
 
 def _pendulum_pair(counts: tuple[int, ...]) -> TimeToReachProblem:
