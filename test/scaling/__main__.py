@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.results import Result, write_results
+from ctrl_rl_core.io.results import Result, add_results
 from tqdm import tqdm
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System, parse_options
@@ -69,7 +69,7 @@ def main() -> int:
     rows: list[Result] = []
     for name, counts in tqdm(grids, "scaling", unit=" grids", disable=None):
         rows += _rows(name, counts, options.peer)
-        write_results(options.output, "Time to reach on growing grids", [0], rows)
+        add_results(options.output, "Time to reach on growing grids", [0], rows)
     print(*(f"{row.method}: {row.metric} {row.values[0]:.4g} {row.unit}" for row in rows), sep="\n")
     return 0
 
@@ -100,7 +100,7 @@ def _in_process(name: str, counts: tuple[int, ...]) -> dict[str, float]:
 
 def _measure(name: str, counts: tuple[int, ...]) -> dict[str, float]:
     """Solve one grid; CPU and wall seconds, bytes a node by which the peak grows, sweeps, and the longest time [s]."""
-    solve(_problem(name, tuple(max(7, count // 2) for count in counts)), certify=False, finer=1)
+    solve(_problem(name, tuple(max(8, count // 2) for count in counts)), certify=False, finer=1)
     problem = _problem(name, counts)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.perf_counter()
