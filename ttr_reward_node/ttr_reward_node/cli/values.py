@@ -107,6 +107,8 @@ class Solve:
     """Largest change of the last sweep [s]; a fraction of the time to cross a cell where none is given."""
     max_sweeps: Positive | None = None
     """Number of sweeps after which the solver gives up; the method's own limit where none is given."""
+    finer: Positive | None = None
+    """Into how many cells each of the grid's is split while it is solved; up to 4 on two axes where none is given."""
     strict: bool = False
     """Exit with 1 where the solution is doubtful."""
 
@@ -174,8 +176,8 @@ def _problem(options: Solve) -> TimeToReachProblem:
         raise TimeToReachError("--inflation and --robot-size exclude each other: give one of them")
     if options.kind == "time_to_reach" and options.horizon is not None:
         raise TimeToReachError("--horizon is for --kind avoid and reach_avoid: leave it out")
-    if options.kind != "time_to_reach" and options.strict:
-        raise TimeToReachError(f"--strict is for times to reach: leave it out of {options.kind}")
+    if options.kind != "time_to_reach" and (options.strict or options.finer):
+        raise TimeToReachError(f"--strict and --finer are for times to reach: leave them out of {options.kind}")
     if options.kind != "time_to_reach" and (options.decomposition or options.method != "semi_lagrangian"):
         raise TimeToReachError(f"--decomposition and --method are for times to reach: leave them out of {options.kind}")
     task = load_navigation_task(options.task)
@@ -223,7 +225,7 @@ def _solve(options: Solve) -> int:
 
 
 def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
-    size = gigabytes(memory_needed(problem, options.method))
+    size = gigabytes(memory_needed(problem, options.method, options.finer))
     print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, at most {size}")
     with tqdm(desc="solving", unit=" sweeps", disable=None) as bar:
 
@@ -234,7 +236,12 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DoubtfulValueWarning)  # doubts are printed below
             solution = solve(
-                problem, options.method, tolerance=options.tolerance, max_sweeps=options.max_sweeps, progress=show
+                problem,
+                options.method,
+                tolerance=options.tolerance,
+                max_sweeps=options.max_sweeps,
+                progress=show,
+                finer=options.finer,
             )
     state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")

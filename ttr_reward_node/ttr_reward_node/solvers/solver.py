@@ -29,13 +29,14 @@ from ttr_reward_node.solvers.solution import Progress, Solution, SweepResult
 METHODS = {"semi_lagrangian": semi_lagrangian, "lax_friedrichs": lax_friedrichs}
 
 
-def memory_needed(problem: TimeToReachProblem, method: str = "semi_lagrangian") -> float:
-    """Return the bytes that `solve` will take at most.
+def memory_needed(problem: TimeToReachProblem, method: str = "semi_lagrangian", finer: int | None = None) -> float:
+    """Return the bytes that `solve` will take at most; arguments as there.
 
     Raises:
-        TimeToReachError: an unknown method.
+        TimeToReachError: an unknown method, or a number of cells that is not positive.
     """
-    return _method(method).memory_needed(problem)
+    solver = _method(method)
+    return float(solver.memory_needed(refine(problem, _refinement(problem, solver, finer))))
 
 
 def solve(
@@ -72,11 +73,8 @@ def solve(
         raise TimeToReachError(f"tolerance {tolerance:g} s: it must be above 0")
     if max_sweeps is not None and max_sweeps < 1:
         raise TimeToReachError(f"{max_sweeps} sweeps at most: allow 1 or more")
-    if finer is not None and finer < 1:
-        raise TimeToReachError(f"{finer} cells for each of the grid's: take 1 or more")
     solver = _method(method)
-    if finer is None:
-        finer = choose_refinement(problem) if solver is semi_lagrangian else 1
+    finer = _refinement(problem, solver, finer)
     solved = refine(problem, finer)
     memory = solver.memory_needed(solved)
     options: dict[str, Any] = {} if max_sweeps is None else {"max_sweeps": max_sweeps}
@@ -146,6 +144,14 @@ def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian
         TimeToReachError: The task has no such problem, or the solver refuses it.
     """
     return solve(problem_from_task(task, **options), method).grid
+
+
+def _refinement(problem: TimeToReachProblem, solver: Any, finer: int | None) -> int:
+    if finer is None:
+        return choose_refinement(problem) if solver is semi_lagrangian else 1
+    if finer < 1:
+        raise TimeToReachError(f"{finer} cells for each of the grid's: take 1 or more")
+    return finer
 
 
 def _method(name: str) -> Any:
