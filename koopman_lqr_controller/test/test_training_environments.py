@@ -171,7 +171,8 @@ def test_a_corridor_is_driven_with_the_commands_that_its_task_allows(tmp_path: P
 
     def limits(v: str, omega: str) -> tuple[list[float], list[float]]:
         file = tmp_path / "own.yaml"
-        own = re.sub(r"v: .* m/s", f"v: {v} m/s", re.sub(r"omega: .* rad/s", f"omega: {omega} rad/s", text))
+        body = "  body: turtlebot3_burger\n"
+        own = text.replace(body, f"{body}  commands: {{v: {v} m/s, omega: {omega} rad/s}}\n")
         file.write_text(own.replace("curved_corridor", "own"), encoding="utf-8")
         corridor = find_task(str(file)).make(False)
         corridor.close()

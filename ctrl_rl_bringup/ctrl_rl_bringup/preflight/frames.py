@@ -35,7 +35,7 @@ class FrameTree:
     """Links between frames; a child with two parents keeps both, because that is a fault.
 
     Attributes:
-        conflicts: What was heard of each transform, to tell two publishers of one.
+        conflicts: Transforms that were heard, by which two publishers of one are told.
         conflict: The first contradiction between transforms; empty for none.
     """
 

@@ -50,7 +50,7 @@ class TransformConflicts:
             parent: Frame in which the pose is given.
             child: Frame whose pose it is.
             place: Position (3,) [m].
-            yaw: Heading [rad].
+            yaw: Heading of the child in the parent [rad].
             stamp: Time for which it holds [ns].
             now: Steady time [s].
             fixed: Whether it came on /tf_static.
