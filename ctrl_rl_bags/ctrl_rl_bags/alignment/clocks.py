@@ -91,8 +91,11 @@ def clock_runs(
             received = _to_clock(series.times[each], known)
             if by_stamp and series.stamps is not None:
                 stamps = series.stamps[each]
+                # Outside the reference's messages its clock is a guess: a simulation may have stood before the first.
+                at = series.times[each]
+                met = (at >= known.times[0]) & (at <= known.times[-1]) if len(known.times) else np.zeros(len(at), bool)
                 late.setdefault(topic, []).append(
-                    np.asarray((stamps - received) * 1e-9, dtype=np.float64) / max(1.0, _pace(known))
+                    np.asarray((stamps - received)[met] * 1e-9, dtype=np.float64) / max(1.0, _pace(known))
                 )
                 run[topic] = series.at(each, stamps)
             else:
