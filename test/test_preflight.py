@@ -131,7 +131,7 @@ def test_interrupted_while_the_robot_turns_it_leaves_it_standing(run_node: Calla
         until(lambda: process.poll() is not None or (bool(rates) and rates[-1] > 0.3), "it never turned")
         assert process.poll() is None, process.communicate()
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 130
+        assert process.wait(60) == 130, process.communicate()
         until(lambda: max(abs(rate) for rate in rates[-10:]) < 1e-3, "it turns on")
         _, errors = process.communicate()
         assert "preflight: interrupted" in errors
