@@ -135,7 +135,7 @@ def test_bags_that_hold_nothing_to_learn_from_are_refused(tmp_path, tape):
     whole = tape.write(tmp_path / "whole")
     cut = shutil.copytree(whole, tmp_path / "cut")
     (cut / "metadata.yaml").unlink()
-    with pytest.raises(CtrlRlError, match="cut off, it has no metadata.yaml; recover it"):
+    with pytest.raises(CtrlRlError, match=r"cut off, it has no metadata\.yaml; recover it"):
         recordings(cut)
     (file,) = whole.glob("*.mcap")
     content = bytearray(file.read_bytes())

@@ -68,7 +68,12 @@ class Stage:
             _node("sim_bridge", "bridge", bridge, self.folder),
             _node("ctrl_rl_safety", "safety_filter", safety, self.folder),
         ):
-            command: list[str | Path] = [_path("ctrl_rl_robot", "fine_tune"), *words, *self.arguments, *_ros_words(_OPEN)]
+            command: list[str | Path] = [
+                _path("ctrl_rl_robot", "fine_tune"),
+                *words,
+                *self.arguments,
+                *_ros_words(_OPEN),
+            ]
             code = start_child(command).wait()
         if code:
             raise RobotError(f"fine_tune ended with exit code {code}; logs of its robot are in {self.folder}")
