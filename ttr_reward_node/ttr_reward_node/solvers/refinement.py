@@ -28,9 +28,10 @@ def choose_refinement(problem: TimeToReachProblem) -> int:
     if len(problem.axes) != _PLANE:
         return 1
     layout = make_layout(problem)
-    steps = len(step_lengths(problem)) * len(pairs(problem, tried_controls(problem, layout))[0])
-    if steps == len(step_lengths(problem)):
+    choices = len(pairs(problem, tried_controls(problem, layout))[0])
+    if choices == 1:
         return 1  # nothing to choose between: a finer grid only takes more sweeps
+    steps = choices * len(step_lengths(problem))
     for finer in range(_FINEST, 1, -1):
         nodes = math.prod(_count(axis, finer) for axis in problem.axes)
         if nodes * steps <= _WORK[1 if layout.inner else 0]:
