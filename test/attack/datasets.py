@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 from _attack import Attack
+from _limited import run_limited
 from _mutations import cut, flip, overwrite
 from clocks import COMMANDS, _message
 from ctrl_rl_bags.datasets.conversion import export_bags
@@ -50,23 +48,8 @@ def run(random: np.random.Generator, folder: Path) -> None:
 
 
 def _import(dataset: Path, output: Path) -> None:
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", _IMPORT, "import", dataset, "-o", output],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-            timeout=_LIMIT_S,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY)),
-        )
-    except subprocess.TimeoutExpired:
-        raise AssertionError("import hangs") from None
-    said = done.stderr.strip()
-    assert done.returncode in (0, 1), f"import ended with {done.returncode}: {said[-2000:]}"
-    assert "Traceback" not in said, said[-2000:]
-    if done.returncode == 1:
-        assert len(said.splitlines()) == 1, said[-2000:]
+    words = ("-c", _IMPORT, "import", dataset, "-o", output)
+    if run_limited("import", words, _MEMORY, _LIMIT_S).returncode == 1:
         assert not output.exists(), "import left half a folder"
     shutil.rmtree(output, ignore_errors=True)
 
