@@ -173,7 +173,7 @@ def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeS
 
 
 def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: str, base: TimeSeries) -> None:
-    """Refuse topics whose stamps are of different clocks, and name the one that is off.
+    """Refuse a bag whose topics are stamped by different clocks, and name the topic that is off.
 
     Args:
         bag: Bag of the topics.
@@ -212,7 +212,7 @@ def _resets(stamps: NDArray[np.int64], fall: int = _RESET_NS) -> NDArray[np.intp
 
 
 def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """Return the rows at which a series shows the resets of another at these log times; None where it has more."""
+    """Match clock resets of another topic, by log time, to rows of this series; None if it has others."""
     rows = np.searchsorted(series.times, resets)
     own = _resets(series.stamps) if series.stamps is not None else np.empty(0, np.intp)
     if not len(own):

@@ -35,7 +35,7 @@ class TimeSeries:
     log: NDArray[np.int64] | None = None
 
     def some(self, rows: NDArray[np.intp]) -> TimeSeries:
-        """Return some rows, in their order."""
+        """Return the series of these rows, in the order given."""
         stamps = None if self.stamps is None else self.stamps[rows]
         return TimeSeries(self.times[rows], self.values[rows], self.angles, stamps, self.jumps)
 

@@ -72,7 +72,7 @@ def spaced(times: Times, starts: NDArray[np.bool_], period: float) -> NDArray[np
 
 
 def even(steps: Array, period: float) -> NDArray[np.bool_]:
-    """Return which steps [s] are as long as a period [s]."""
+    """Return whether each step lasts one period, both in s."""
     return np.asarray(np.abs(steps / period - 1.0) <= _LIKE, dtype=np.bool_)
 
 

@@ -49,7 +49,7 @@ def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
 
 
 def _alternative(title: str, found: Found, part: str) -> str:
-    """Return what a picture shows, for those who do not see it: the finding with its number."""
+    """Return the alternative text of a picture: its finding, with the number."""
     sentence = re.split(r"(?<!Fig)\. ", _TEXTS[part](found).partition("\n")[0])[0].rstrip(".")
     return title if set("[]|") & set(sentence) else sentence
 
