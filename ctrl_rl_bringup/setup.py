@@ -1,28 +1,11 @@
-from glob import glob
+import sys
+from pathlib import Path
 
-from setuptools import find_packages, setup
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-NAME = "ctrl_rl_bringup"
-
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Launch files, parameter files and the demo that starts everything.",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/launch", sorted(glob("launch/*.py"))),
-        (f"share/{NAME}/config", sorted(glob("config/*"))),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "animate = ctrl_rl_bringup.cli.animate:animate",
             "compile = ctrl_rl_bringup.cli.compile:compile_kernels",
@@ -38,5 +21,5 @@ setup(
             "transfer = ctrl_rl_bringup.cli.transfer:transfer",
             "trials = ctrl_rl_bringup.cli.drive:trials",
         ],
-    },
+    }
 )

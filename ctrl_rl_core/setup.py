@@ -1,24 +1,11 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "ctrl_rl_core"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="What every package shares: system models, tasks, value grids, files, the base of the nodes.",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi", "robots/*.yaml", "tasks/task_files/*.yaml", "policies/pretrained/*"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "bag = ctrl_rl_core.moved:bag",
             "policy = ctrl_rl_core.policies.policy_node:main",
@@ -30,5 +17,5 @@ setup(
             "actor = ctrl_rl_core.policies.actor_policy:KIND",
             "onnx = ctrl_rl_core.policies.onnx_policy:KIND",
         ],
-    },
+    }
 )

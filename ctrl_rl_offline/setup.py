@@ -1,29 +1,16 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "ctrl_rl_offline"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Policies from bags alone: offline learning, evaluation before driving, and the closed loop of both.",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "correlation = ctrl_rl_offline.cli.correlation:correlation",
             "evaluate_offline = ctrl_rl_offline.cli.evaluate:evaluate_offline",
             "learn_offline = ctrl_rl_offline.cli.learn:learn_offline",
             "loop = ctrl_rl_offline.cli.loop:loop",
         ],
-    },
+    }
 )

@@ -1,24 +1,11 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "koopman_lqr_controller"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Koopman control from lidar: a learned linear model and its LQR (thesis 2.3 and 4).",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "policies/pretrained/*", "*.pyi"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "analyse = koopman_lqr_controller.cli.analyse:analyse",
             "compare = koopman_lqr_controller.cli.learning:compare",
@@ -35,5 +22,5 @@ setup(
             "train = koopman_lqr_controller.cli.learning:train",
         ],
         "ctrl_rl.policies": ["policy = koopman_lqr_controller.policies.driving:KIND"],
-    },
+    }
 )

@@ -1,24 +1,11 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "option_coordinator"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Grants options to robots that finish at different times (thesis 2.4 and 5).",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi", "teams/*.yaml", "policies/pretrained/*"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "coordinator = option_coordinator.nodes.coordinator_node:main",
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
@@ -30,5 +17,5 @@ setup(
             "plot = option_coordinator.learning:plot",
             "training_figures = option_coordinator.learning:training_figures",
         ],
-    },
+    }
 )

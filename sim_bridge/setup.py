@@ -1,26 +1,13 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "sim_bridge"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Simulated worlds that stand in for the robots: the bridge node and Gymnasium environments.",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi", "urdf/*"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "bridge = sim_bridge.ros.bridge_node:main",
         ],
-    },
+    }
 )

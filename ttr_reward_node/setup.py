@@ -1,24 +1,11 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-NAME = "ttr_reward_node"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from package_setup import setup_package
 
-setup(
-    name=NAME,
-    version="0.1.0",
-    description="Time-to-reach rewards from Hamilton-Jacobi value functions (thesis 3.2).",
-    license="Apache-2.0",
-    maintainer="Seed 5ee16a79 maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-5ee16a79.example",
-    packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "*.pyi"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=False,
-    entry_points={
+setup_package(
+    {
         "console_scripts": [
             "check = ttr_reward_node.cli.values:check",
             "relabel = ttr_reward_node.cli.values:relabel_bag",
@@ -32,5 +19,5 @@ setup(
             "train = ttr_reward_node.cli.learning:train",
             "training_figures = ttr_reward_node.cli.learning:training_figures",
         ],
-    },
+    }
 )
