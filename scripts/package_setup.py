@@ -42,5 +42,17 @@ def setup_package(entry_points: Mapping[str, Sequence[str]] | None = None) -> No
         install_requires=["setuptools"],
         extras_require={"test": ["pytest"]},
         zip_safe=False,
-        entry_points={group: list(lines) for group, lines in (entry_points or {}).items()},
+        entry_points={
+            group: [_through_door(line) for line in lines] if group == "console_scripts" else list(lines)
+            for group, lines in (entry_points or {}).items()
+        },
     )
+
+
+def _through_door(line: str) -> str:
+    """Return an executable whose function is imported and run by `ctrl_rl_core.entry`."""
+    name, _, place = line.partition(" = ")
+    module, _, function = place.partition(":")
+    source = Path(f"{module.replace('.', '/')}.py")
+    kind = "node" if source.exists() and "return run_node(" in source.read_text(encoding="utf-8") else "command"
+    return f"{name} = ctrl_rl_core.entry:{kind}.{module}.{function}"

@@ -148,7 +148,8 @@ def _preload(code: str) -> None:
     """Import what a program imports at its top."""
     if found := re.search(r"load_entry_point\('(.+)', '(.+)', '(.+)'\)", code):
         project, group, entry = found.groups()
-        modules = [each.module for each in distribution(project).entry_points.select(group=group, name=entry)]
+        places = [each.attr.split(".") for each in distribution(project).entry_points.select(group=group, name=entry)]
+        modules = [".".join(place[1:-1]) for place in places]  # behind the door of ctrl_rl_core.entry
     else:
         nodes = ast.parse(code).body
         modules = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]

@@ -11,7 +11,6 @@ import re
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from importlib import import_module
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
 
@@ -19,16 +18,11 @@ import tyro
 from tyro._errors import ParseErrorEvent, on_parse_error
 from tyro.constructors import PrimitiveConstructorSpec
 
+from ctrl_rl_core.entry import run_command as run_command
+from ctrl_rl_core.entry import what_to_install as what_to_install
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.old_names import with_new_names
 from ctrl_rl_core.refusals import reason_of
-
-_NOT_ON_A_ROBOT = ("sim_bridge", "ctrl_rl_training")
-"""Packages of this workspace that only learning needs."""
-
-EXIT_INTERRUPTED = 130
-"""As a shell reports SIGINT."""
-
 
 EXIT_USAGE = 2
 """A command line is refused."""
@@ -242,54 +236,7 @@ def run_imported(program: str, module: str, function: str) -> int:
         module: Module that is imported here, so that what is missing is one line.
         function: Name of the function in it that runs the command.
     """
-
-    def work() -> int:
-        return int(getattr(import_module(module), function)())
-
-    return run_command(program, work)
-
-
-def what_to_install(module: str) -> str:
-    """Return how to get a module that is missing."""
-    package = module.partition(".")[0]
-    if package in _NOT_ON_A_ROBOT:
-        packages = " and ".join(_NOT_ON_A_ROBOT)
-        return (
-            f"needs the package '{package}', which is not installed: build {packages} with colcon, "
-            "and python -m pip install -r requirements/training.txt"
-        )
-    return f"needs '{module}': python -m pip install -r requirements/training.txt"
-
-
-def run_command(program: str, work: Callable[[], int], failure: int = 1) -> int:
-    """Run a command and return its exit code. Each line that it prints leaves at once, into a pipe or a file too.
-
-    Args:
-        program: Name that its errors begin with.
-        work: Returns the exit code.
-        failure: Exit code of an error that the suite explains.
-    """
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(line_buffering=True)
-    try:
-        code = work()
-        sys.stdout.flush()
-    except CtrlRlError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return failure
-    except ModuleNotFoundError as error:
-        print(f"{program}: {what_to_install(str(error.name))}", file=sys.stderr)
-        return failure
-    except BrokenPipeError:  # the reader of a pipe (head, less) has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        print(f"{program}: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
-        return failure
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    return code
+    return run_command(program, lambda: int(getattr(import_module(module), function)()))
 
 
 def make_command(

@@ -6,7 +6,10 @@ Ctrl-C does.
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -24,6 +27,8 @@ STOP_SIGNALS = tuple(sorted(number for number in signal.valid_signals() if getat
 """All signals that end a process unless it catches them: HUP, INT, QUIT, TERM, USR1, ALRM, the real-time ones ..."""
 TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 """Signals that a terminal sends to all processes of a job at once: Ctrl-C, Ctrl-\\, and its own end."""
+
+_AGAIN_S = 0.01
 
 Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
@@ -55,16 +60,49 @@ def handle_signals(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> I
             signal.signal(number, former)
 
 
-@contextmanager
-def interrupt_once() -> Iterator[None]:
-    """Let the first signal within the block raise KeyboardInterrupt; those that follow wait for the end.
+class Interruption:
+    """Whether a signal has come since a block of `interrupt_once` began.
 
-    A terminal that is closed sends several, and the second must not cut off what the first one began to put in order.
+    Attributes:
+        came: Whether one has.
     """
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
+    def __init__(self) -> None:
+        self.came = False
+
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
+        self.came = True
         set_handlers(signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    with handle_signals(interrupt):
-        yield
+    def raise_lost(self, lost: sys.UnraisableHookArgs) -> None:
+        """Interrupt again where Python had nobody to hand the KeyboardInterrupt to, as in a finaliser."""
+        if lost.exc_type is not KeyboardInterrupt:
+            sys.__unraisablehook__(lost)
+            return
+        set_handlers(self)
+        threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+
+_interruption: Interruption | None = None
+
+
+@contextmanager
+def interrupt_once() -> Iterator[Interruption]:
+    """Let the first signal within the block raise KeyboardInterrupt; those that follow wait for the end.
+
+    A terminal that is closed sends several, and the second must not cut off what the first one began to put in order.
+    A block within another is part of that one. Outside of the main thread nothing interrupts.
+    """
+    global _interruption
+    if _interruption is not None or threading.current_thread() is not threading.main_thread():
+        yield _interruption or Interruption()
+        return
+    _interruption = Interruption()
+    hook, sys.unraisablehook = sys.unraisablehook, _interruption.raise_lost
+    try:
+        with handle_signals(_interruption):
+            yield _interruption
+    finally:
+        _interruption, sys.unraisablehook = None, hook
