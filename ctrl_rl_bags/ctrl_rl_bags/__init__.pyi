@@ -12,6 +12,7 @@ from .format.copy import copy_bag as copy_bag
 from .format.copy import read_serialized as read_serialized
 from .format.mcap_records import Limits as Limits
 from .format.metadata import Qos as Qos
+from .format.metadata import SerializedMessage as SerializedMessage
 from .format.metadata import Topic as Topic
 from .format.reader import Bag as Bag
 from .format.reader import BagMessage as BagMessage
@@ -21,7 +22,6 @@ from .format.reader import read_messages as read_messages
 from .format.reader import read_raw as read_raw
 from .format.recovery import Recovery as Recovery
 from .format.recovery import recover as recover
-from .format.topics import SerializedMessage as SerializedMessage
 from .format.writer import BagWriter as BagWriter
 from .recording.message_types import message_definition as message_definition
 from .recording.player import PlaybackOptions as PlaybackOptions

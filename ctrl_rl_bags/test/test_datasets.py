@@ -13,7 +13,8 @@ from ctrl_rl_bags.cli import main
 from ctrl_rl_bags.datasets.conversion import export_bags, import_dataset, read_dataset
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
 from ctrl_rl_bags.datasets.frames import ScanLayout
-from ctrl_rl_bags.datasets.messages import (
+from ctrl_rl_bags.datasets.options import ExtractionOptions
+from ctrl_rl_bags.datasets.rebuilding import (
     EPISODE_TYPE,
     GOAL_TYPE,
     IMAGE_TYPE,
@@ -22,7 +23,6 @@ from ctrl_rl_bags.datasets.messages import (
     SCAN_TYPE,
     MessageMaker,
 )
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions
 
 from ctrl_rl_bags import BagError, BagWriter
 

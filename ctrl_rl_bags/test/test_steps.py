@@ -5,14 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bags.alignment.jumps import odometry_jumps
-from ctrl_rl_bags.alignment.resampling import TimeSeries
-from ctrl_rl_bags.alignment.steps import acting
+from ctrl_rl_bags.alignment.extractors import odometry_jumps
+from ctrl_rl_bags.alignment.resampling import TimeSeries, acting
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
 from ctrl_rl_bags.datasets.frames import ScanLayout, times_of, whole_episodes
-from ctrl_rl_bags.datasets.messages import ODOMETRY_TYPE, SCAN_TYPE, MessageMaker
-from ctrl_rl_bags.datasets.options import check_task
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions
+from ctrl_rl_bags.datasets.options import ExtractionOptions, check_task
+from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE, MessageMaker
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

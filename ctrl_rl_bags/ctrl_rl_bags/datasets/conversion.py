@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 
 from ctrl_rl_core.io.file_checks import raise_as
 
-from ctrl_rl_bags.datasets.errors import DatasetError
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import Frames, Layout
+from ctrl_rl_bags.datasets.frames import DatasetError, Frames, Layout
+from ctrl_rl_bags.datasets.options import ExtractionOptions
 from ctrl_rl_bags.datasets.rebuilding import rebuild
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions
 from ctrl_rl_bags.format.metadata import METADATA_FILE
 from ctrl_rl_bags.format.reader import bag_info
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from ctrl_rl_bags.datasets.episodes import EpisodeFrames, Step
 from ctrl_rl_bags.datasets.frames import CommandType, Frames, ImageLayout, Layout
+from ctrl_rl_bags.datasets.options import ExtractionOptions, find_task, find_topics
 from ctrl_rl_bags.datasets.readings import ScanColumn, read_image, stamp_of
 from ctrl_rl_bags.datasets.timeline import Timeline, read_timeline
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions, find_task, find_topics
 from ctrl_rl_bags.format.checks import BagError, DamagedError, fields_of, printable
+from ctrl_rl_bags.format.metadata import SerializedMessage
 from ctrl_rl_bags.format.reader import Bag, open_bag
-from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_core import ScanError
 
 _PERIODS = 200

@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from ctrl_rl_core.io.checked_json import parse_json
+from ctrl_rl_core.io.file_checks import as_text, read_bytes
 from ctrl_rl_core.io.schema import Name, Number, Positive, Schema
 from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
 from ctrl_rl_core.sensing.scan import MOST_BEAMS
 from numpy.typing import NDArray
 from pydantic import Field
 
+from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_core import ScanGeometry
+
+LARGEST_INFO = 16_000_000
+"""Bytes of a dataset's description in JSON."""
+
+
+class DatasetError(BagError):
+    """A dataset cannot be written or read; the message is the reason."""
+
+
+MEMORY = 1 << 30
+"""Bytes that reading a dataset may take, beside a multiple of its size."""
+
 
 CommandType = Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "ctrl_rl_msgs/msg/RotorThrusts"]
 COMMAND_TYPES: Mapping[str, tuple[str, str]] = {
@@ -172,3 +188,24 @@ def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:
 def is_usable(numbers: NDArray[np.float64]) -> bool:
     """Return whether numbers of the physical world are finite and not absurd."""
     return bool((np.abs(numbers) < 1e30).all())  # False of NaN
+
+
+_KEY = "ctrl_rl"
+
+
+def own_info(layout: Layout, sources: Sequence[str]) -> dict[str, Any]:
+    """Return the part of a dataset's JSON that `read_own_info` reads; `sources` names the bags."""
+    return {_KEY: {"layout": layout.model_dump(), "sources": sources}}
+
+
+def read_own_info(file: Path) -> Mapping[str, Any]:
+    """Return layout and sources from a dataset's JSON file.
+
+    Raises:
+        DatasetError: It has none.
+    """
+    content = parse_json(as_text(read_bytes(file, LARGEST_INFO)))
+    own = content.get(_KEY) if isinstance(content, dict) else None
+    if not isinstance(own, dict):
+        raise DatasetError("was not written by `bag export`: it does not say what its frames are")
+    return own

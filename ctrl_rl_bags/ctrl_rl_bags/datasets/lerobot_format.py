@@ -23,9 +23,17 @@ from ctrl_rl_core.processes.limited import limited_memory
 from numpy.typing import NDArray
 from PIL import Image
 
-from ctrl_rl_bags.datasets.errors import MEMORY, DatasetError
-from ctrl_rl_bags.datasets.frames import IMAGE, IS_LAST, Column, Frames, Layout
-from ctrl_rl_bags.datasets.own_info import own_info, read_own_info
+from ctrl_rl_bags.datasets.frames import (
+    IMAGE,
+    IS_LAST,
+    MEMORY,
+    Column,
+    DatasetError,
+    Frames,
+    Layout,
+    own_info,
+    read_own_info,
+)
 from ctrl_rl_bags.datasets.statistics import Statistics
 from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write

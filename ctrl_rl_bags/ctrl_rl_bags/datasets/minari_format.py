@@ -18,20 +18,22 @@ from ctrl_rl_core.io.file_checks import open_file
 from ctrl_rl_core.processes.limited import limited_memory
 from numpy.typing import NDArray
 
-from ctrl_rl_bags.datasets.errors import MEMORY, DatasetError
 from ctrl_rl_bags.datasets.frames import (
     ACTION,
     DONE,
     IS_LAST,
     LOG_TIME,
+    MEMORY,
     OUTCOME,
     REWARD,
     STAMP,
     Column,
+    DatasetError,
     Frames,
     Layout,
+    own_info,
+    read_own_info,
 )
-from ctrl_rl_bags.datasets.own_info import own_info, read_own_info
 from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write
 

@@ -11,13 +11,11 @@ from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.alignment.clocks import Tell, clock_runs
-from ctrl_rl_bags.alignment.extractors import Extractor
-from ctrl_rl_bags.alignment.jumps import odometry_jumps
-from ctrl_rl_bags.alignment.resampling import TimeSeries
-from ctrl_rl_bags.alignment.steps import LONGEST_NS, acting, even, latest, odometry_at, spaced
+from ctrl_rl_bags.alignment.extractors import Extractor, odometry_jumps
+from ctrl_rl_bags.alignment.resampling import LONGEST_NS, TimeSeries, acting, even, latest, odometry_at, spaced
 from ctrl_rl_bags.datasets.frames import GOAL_NAMES, states_of
+from ctrl_rl_bags.datasets.options import ExtractionOptions, Wiring
 from ctrl_rl_bags.datasets.readings import no_goal, read_command, read_goal
-from ctrl_rl_bags.datasets.wiring import ExtractionOptions, Wiring
 from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.reader import Bag
 from ctrl_rl_core import OdometryHealth, ScanGeometry, read_odometry

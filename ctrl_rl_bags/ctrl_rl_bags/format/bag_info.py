@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_bags.format.checks import BagError, printable
-from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic
-from ctrl_rl_bags.format.topics import parsed_qos
+from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic, parsed_qos
 
 
 @dataclass(frozen=True)

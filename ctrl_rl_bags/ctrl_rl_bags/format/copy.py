@@ -11,9 +11,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from ctrl_rl_bags.format.checks import BagError
-from ctrl_rl_bags.format.metadata import Topic
+from ctrl_rl_bags.format.metadata import SerializedMessage, Topic
 from ctrl_rl_bags.format.reader import Bag, bag_info, open_bag
-from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.writer import BagWriter
 
 

@@ -26,8 +26,7 @@ from ctrl_rl_bags.format.mcap_records import (
     message_head,
     read_exactly,
 )
-from ctrl_rl_bags.format.metadata import Topic
-from ctrl_rl_bags.format.topics import SerializedMessage, mcap_topic
+from ctrl_rl_bags.format.metadata import SerializedMessage, Topic, mcap_topic
 
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
 _Names = dict[int, tuple[str, str]]

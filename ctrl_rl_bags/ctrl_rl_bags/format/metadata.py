@@ -6,12 +6,14 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
+from mcap.records import Channel, Schema
 from pydantic import BaseModel, Field, ValidationError
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from ctrl_rl_bags.format.checks import BagError, DamagedError, printable, read_yaml, reason
+from ctrl_rl_bags.format.checks import BagError, DamagedError, parse_yaml, printable, read_yaml, reason
 from ctrl_rl_core import atomic_write
 
 METADATA_FILE = "metadata.yaml"
@@ -183,3 +185,50 @@ def read_metadata(folder: Path) -> BagMetadata:
 def _plain(qos: Sequence[Qos]) -> list[dict[str, Any]]:
     """Copy profiles so deeply that YAML finds no object twice, which it would write as an alias."""
     return [copy.deepcopy(dict(profile)) for profile in qos]
+
+
+class SerializedMessage(NamedTuple):
+    """One message as it was on the wire: times [ns since the epoch], the publisher's count, CDR bytes.
+
+    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+    """
+
+    topic: str
+    type: str
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+
+def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
+    """Return the topic of an MCAP channel; its type is empty without a schema.
+
+    Raises:
+        DamagedError: The message definition is no text.
+    """
+    schema = schema or Schema(id=0, data=b"", encoding="", name="")
+    try:
+        definition = schema.data.decode()
+    except UnicodeDecodeError:
+        raise DamagedError("a message definition is no text") from None
+    return Topic(
+        name=channel.topic,
+        type=schema.name,
+        definition=definition,
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        qos=parsed_qos(channel.metadata.get("offered_qos_profiles", "")),
+        encoding=schema.encoding,
+    )
+
+
+def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
+    """Return the QoS profiles that publishers offered, in the words of metadata version 9; none if they make no sense.
+
+    Args:
+        profiles: YAML text, or its content.
+    """
+    try:
+        return tuple(dump_qos_v9(parse_qos(parse_yaml(profiles) if isinstance(profiles, str) else profiles)))
+    except Exception:  # a bag with wrong QoS profiles can still be read
+        return ()

@@ -20,9 +20,8 @@ from ctrl_rl_bags.format.bag_info import BagInfo, TopicInfo, compare, completed,
 from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
 from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
-from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Topic, read_metadata
+from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, SerializedMessage, Topic, read_metadata
 from ctrl_rl_bags.format.sqlite_reader import SqliteReader, with_log
-from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _NOT_MENDED = ("git lfs", "not of ROS 2")

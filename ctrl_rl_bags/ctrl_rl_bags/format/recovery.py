@@ -36,9 +36,8 @@ from ctrl_rl_bags.format.mcap_records import (
     parse,
     records_in,
 )
-from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD, METADATA_FILE, Topic, name_of_other_type
+from ctrl_rl_bags.format.metadata import CUSTOM_DATA_RECORD, METADATA_FILE, Topic, mcap_topic, name_of_other_type
 from ctrl_rl_bags.format.reader import open_bag
-from ctrl_rl_bags.format.topics import mcap_topic
 from ctrl_rl_bags.format.writer import BagWriter
 
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)

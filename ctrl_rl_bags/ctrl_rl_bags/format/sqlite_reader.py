@@ -14,8 +14,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from ctrl_rl_bags.format.checks import DamagedError, open_regular, reason
 from ctrl_rl_bags.format.mcap_records import Limits
-from ctrl_rl_bags.format.metadata import Topic
-from ctrl_rl_bags.format.topics import SerializedMessage
+from ctrl_rl_bags.format.metadata import SerializedMessage, Topic
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 

@@ -14,6 +14,8 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from ament_index_python.resources import get_resource
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from ctrl_rl_core import CtrlRlError
 
@@ -104,3 +106,25 @@ def _nested(name: str, text: str) -> Iterator[str]:
         # `Header` alone is the one name that needs no package.
         package = found[1][:-1] if found[1] else "std_msgs" if found[2] == "Header" else own_package
         yield f"{package}/msg/{found[2]}"
+
+
+def typestore(*names: str) -> Typestore:
+    """Return a store of Jazzy's types and of these, which writes and reads messages without their classes.
+
+    Raises:
+        UnknownTypeError: A definition is not installed here.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    register(store, *names)
+    return store
+
+
+def register(store: Typestore, *names: str) -> None:
+    """Add types to a store; those that it knows stay as they are.
+
+    Raises:
+        UnknownTypeError: A definition is not installed here.
+    """
+    for name in names:
+        known = get_types_from_msg(message_definition(name), name)
+        store.register({kind: fields for kind, fields in known.items() if kind not in store.fielddefs})

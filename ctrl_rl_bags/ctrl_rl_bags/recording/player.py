@@ -24,8 +24,8 @@ from tqdm import tqdm
 from ctrl_rl_bags.format.bag_info import BagInfo
 from ctrl_rl_bags.format.checks import BagError, printable, reason
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits
+from ctrl_rl_bags.format.metadata import SerializedMessage
 from ctrl_rl_bags.format.reader import bag_info, read_raw
-from ctrl_rl_bags.format.topics import SerializedMessage
 from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
 from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 

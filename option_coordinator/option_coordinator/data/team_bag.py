@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.typestore import typestore
+from ctrl_rl_bags.recording.message_types import typestore
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagWriter, Topic

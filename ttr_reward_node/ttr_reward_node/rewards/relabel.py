@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_bags.format.checks import DamagedError, fields_of
 from ctrl_rl_bags.format.type_definitions import BagTypes
-from ctrl_rl_bags.recording.typestore import register
+from ctrl_rl_bags.recording.message_types import register
 
 from ctrl_rl_bags import (
     BagError,
