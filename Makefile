@@ -3,7 +3,7 @@
 
 SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
-LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_training ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_benchmarks ctrl_rl_offline ctrl_rl_robot ctrl_rl_bringup ctrl_rl
+LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_learning ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_trials ctrl_rl_bringup ctrl_rl
 
 .PHONY: help setup build build-demo demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack referee behaviour navigator docs picture results lock clean
 
@@ -122,8 +122,8 @@ navigator: build ## drive to 100 random goals on each of the suite's maps in bot
 	--engines pybullet mujoco --results docs/results/navigator.json $(ARGS)
 
 ladder: build ## learn all tasks of the ladder in every way; days on one core, may be cut off
-	@$(RUN) ros2 run ctrl_rl_benchmarks train --results docs/results/ladder.json $(ARGS); \
-	ros2 run ctrl_rl_benchmarks plot docs/results/ladder.json
+	@$(RUN) ros2 run ctrl_rl_trials train --results docs/results/ladder.json $(ARGS); \
+	ros2 run ctrl_rl_trials plot docs/results/ladder.json
 
 docs: build ## the documentation site, into site/; broken links are errors
 	@scripts/docs

@@ -293,8 +293,8 @@ def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
 
 @pytest.fixture(scope="module")
 def runs_here() -> Iterator[None]:
-    """Let commands train in this process; that runs get through to others is shown by ctrl_rl_training's tests."""
-    from ctrl_rl_training.experiments import matrix
+    """Let commands train in this process; that runs get through to others is shown by ctrl_rl_learning's tests."""
+    from ctrl_rl_learning.study import matrix
 
     def train_all(todo: list[Any], options: Any, *_: object) -> None:
         for run in todo:

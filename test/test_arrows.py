@@ -23,22 +23,15 @@ MAY_IMPORT = {
     "ctrl_rl_core": set(),
     "ctrl_rl_bags": {"ctrl_rl_core"},
     "sim_bridge": {"ctrl_rl_core"},
-    "ctrl_rl_training": {"ctrl_rl_core", "sim_bridge"},
     **{package: {"ctrl_rl_core", "ctrl_rl_bags"} for package in METHODS},
-    "ctrl_rl_benchmarks": {
-        "ctrl_rl_core",
-        "sim_bridge",
-        "ctrl_rl_training",
-        "ttr_reward_node",
-        "oc_baseline_node",
-        "ctrl_rl_navigation",
-        "ctrl_rl_safety",
+    "ctrl_rl_learning": {
+        *("ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", "ttr_reward_node", "oc_baseline_node", "ctrl_rl_navigation"),
     },
-    "ctrl_rl_offline": {
-        *("ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", "ctrl_rl_training", "ttr_reward_node", "oc_baseline_node"),
+    "ctrl_rl_trials": {
+        *("ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", "ctrl_rl_learning", "ttr_reward_node", "oc_baseline_node"),
+        *("ctrl_rl_navigation", "ctrl_rl_safety"),
     },
-    "ctrl_rl_robot": {"ctrl_rl_core", "ctrl_rl_training", "ctrl_rl_offline", "ctrl_rl_safety", "ttr_reward_node"},
-    "ctrl_rl": {"ctrl_rl_core", "ttr_reward_node", "ctrl_rl_safety", "ctrl_rl_offline"},
+    "ctrl_rl": {"ctrl_rl_core", "ttr_reward_node", "ctrl_rl_safety", "ctrl_rl_learning"},
     "ctrl_rl_bringup": {"ctrl_rl_core", "ctrl_rl_bags", "sim_bridge", *METHODS},
 }
 ROS_PACKAGE = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
@@ -183,7 +176,7 @@ def test_packages_import_only_what_lies_before_them(package: str) -> None:
         ours = imports_of(file) & set(MAY_IMPORT) - {package}
         allowed = MAY_IMPORT[package]
         if not runs_on_a_robot(file):
-            allowed = allowed | {"sim_bridge", "ctrl_rl_training"}
+            allowed = allowed | {"sim_bridge", "ctrl_rl_learning"}
         assert ours <= allowed, f"{file.relative_to(ROOT)} imports {ours - allowed}"
 
 
@@ -194,7 +187,7 @@ def test_package_xml_names_every_ros_package_that_is_imported(package: str) -> N
     used = set().union(*(imports_of(file) for file in sources(package) if runs_on_a_robot(file)))
     ros = {name for name in used if name in MAY_IMPORT or ROS_PACKAGE.fullmatch(name)}
     assert ros <= named, f"{package}/package.xml lacks {sorted(ros - named)}"
-    assert package not in METHODS or not named & {"ctrl_rl_training", "sim_bridge"}, "a robot's install has neither"
+    assert package not in METHODS or not named & {"ctrl_rl_learning", "sim_bridge"}, "a robot's install has neither"
 
 
 IMPORT_ALL = """

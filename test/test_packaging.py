@@ -130,7 +130,7 @@ def test_licence_and_maintainer_are_those_of_the_repository(package: str) -> Non
 def test_learning_on_a_robot_says_what_to_install(
     package: str, executable: str, arguments: tuple[str, ...], tmp_path: Path
 ) -> None:
-    absent = re.compile("/(ctrl_rl_training|sim_bridge)(/|$)")
+    absent = re.compile("/(ctrl_rl_learning|sim_bridge)(/|$)")
     kept = [path for path in os.environ["PYTHONPATH"].split(":") if not absent.search(path)]
     program = Path(get_package_prefix(package)) / "lib" / package / executable
     answer = subprocess.run(
@@ -144,4 +144,4 @@ def test_learning_on_a_robot_says_what_to_install(
     assert answer.returncode == 1, answer.stdout + answer.stderr
     (line,) = answer.stderr.splitlines()
     assert line.startswith(f"{executable}: needs the package")
-    assert "build sim_bridge and ctrl_rl_training with colcon" in line
+    assert "build sim_bridge and ctrl_rl_learning with colcon" in line

@@ -37,23 +37,23 @@ def assert_clean(drawn):
 
 
 def read(name, kind):
-    from ctrl_rl_training.experiments.results import read_figures
+    from ctrl_rl_learning.study.results import read_figures
 
     return read_figures(RESULTS / f"{name}.json", kind)
 
 
 @pytest.mark.parametrize("learner", ["ppo", "sac"])
 def test_the_ladder(drawn, tmp_path, learner):
-    from ctrl_rl_benchmarks.experiments.plots import draw_ladder
-    from ctrl_rl_benchmarks.experiments.results import LadderFigures
+    from ctrl_rl_trials.ladder.plots import draw_ladder
+    from ctrl_rl_trials.ladder.results import LadderFigures
 
     assert len(draw_ladder(read("ladder", LadderFigures), learner, tmp_path)) == 2
     assert_clean(drawn)
 
 
 def test_the_tasks_of_the_ladder(drawn, tmp_path):
-    from ctrl_rl_benchmarks.ladder.page import draw_pages
-    from ctrl_rl_benchmarks.ladder.task_list import LADDER, load_ladder_task
+    from ctrl_rl_trials.ladder.page import draw_pages
+    from ctrl_rl_trials.ladder.task_list import LADDER, load_ladder_task
 
     list(draw_pages([load_ladder_task(name) for name in LADDER], tmp_path / "tasks.png"))
     assert_clean(drawn)

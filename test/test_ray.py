@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from ctrl_rl_core.processes.ray_workers import map_in_ray
-from ctrl_rl_training.experiments.matrix import run_experiments
-from ctrl_rl_training.experiments.run import RunOptions
+from ctrl_rl_learning.study.matrix import run_experiments
+from ctrl_rl_learning.study.run import RunOptions
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
 
 from ctrl_rl_core import WorkersError, load_navigation_task
@@ -85,9 +85,9 @@ def test_eight_runs_end_alike_though_a_worker_is_killed(
 ) -> None:
     program = (
         "import sys, functools; from pathlib import Path\n"
-        "from ctrl_rl_training.experiments import matrix\n"
+        "from ctrl_rl_learning.study import matrix\n"
         "from option_coordinator.training.experiments.runs import option_runs\n"
-        "from ctrl_rl_training.experiments.run import RunOptions\n"
+        "from ctrl_rl_learning.study.run import RunOptions\n"
         "matrix.map_in_ray = functools.partial(matrix.map_in_ray, shared=sys.argv[3] == 'True')\n"
         "runs = option_runs('tool_delivery', ['async', 'mac_dqn'], 4)\n"
         "matrix.run_experiments(runs, RunOptions(Path(sys.argv[1]), 4, 400, 0, 1), ray=sys.argv[2])\n"

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_training.errors import TrainingError
-from ctrl_rl_training.experiments.matrix import run_experiments
-from ctrl_rl_training.experiments.run import RunOptions
-from ctrl_rl_training.experiments.run_folder import result_file
-from ctrl_rl_training.experiments.trainer import train
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.study.matrix import run_experiments
+from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.study.trainer import train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
@@ -147,8 +147,8 @@ def test_a_run_that_was_killed_goes_on_exactly(whole: tuple, tmp_path: Path) -> 
     program = (
         f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import short_suite\nshort_suite.shorten()\n"
-        "from pathlib import Path\nfrom ctrl_rl_training.experiments.run import RunOptions\n"
-        "from ctrl_rl_training.experiments.trainer import train\n"
+        "from pathlib import Path\nfrom ctrl_rl_learning.study.run import RunOptions\n"
+        "from ctrl_rl_learning.study.trainer import train\n"
         "from koopman_lqr_controller.training.experiments.runs import LearningRun\n"
         f"train({RUN!r}, RunOptions(Path({str(killed)!r}), 3, 20, 1, 2))"
     )
@@ -196,15 +196,15 @@ def test_seeds_are_learnt_one_after_the_other(tmp_path: Path) -> None:
 def test_a_run_made_with_other_settings_is_not_taken(whole: tuple, tmp_path: Path) -> None:
     with pytest.raises(CutOffError):
         train(RUN, options(tmp_path), cut_off)
-    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
+    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: was made with iterations 3, now it is 2: use"):
         train(RUN, options(tmp_path, 2))
-    with pytest.raises(TrainingError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
+    with pytest.raises(LearningError, match=r"result\.json: was made with iterations 3, now it is 2: use"):
         train(RUN, options(whole[0], 2))
 
 
 @pytest.mark.parametrize("change", [{"evaluations": 2}, {"final_evaluations": 3}])
 def test_a_run_that_was_evaluated_otherwise_is_not_taken(change: dict[str, int], whole: tuple) -> None:
-    with pytest.raises(TrainingError, match=r"result\.json: was made with .*evaluations"):
+    with pytest.raises(LearningError, match=r"result\.json: was made with .*evaluations"):
         train(RUN, replace(options(whole[0]), **change))
 
 
@@ -282,7 +282,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
     checkpoint = result_file(tmp_path, RUN).with_name("checkpoint.safetensors")
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
-    with pytest.raises(TrainingError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
+    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
         train(RUN, options(tmp_path))
 
 
@@ -295,7 +295,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_learning_needs_no_other_library_of_learning() -> None:
     program = (
-        "import sys, koopman_lqr_controller.training.experiments.runs, ctrl_rl_training.experiments.matrix\n"
+        "import sys, koopman_lqr_controller.training.experiments.runs, ctrl_rl_learning.study.matrix\n"
         "sys.exit(any(name in sys.modules for name in ('stable_baselines3', 'pybullet', 'casadi')))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -8,5 +8,5 @@ _MODULE = "oc_baseline_node.training.cli"
 train, plot, training_figures = (
     partial(run_imported, name, _MODULE, name) for name in ("train", "plot", "training_figures")
 )
-evaluate = partial(run_imported, "evaluate", "ctrl_rl_training.evaluation", "evaluate")
-export = partial(run_imported, "export", "ctrl_rl_training.export", "export")
+evaluate = partial(run_imported, "evaluate", "ctrl_rl_learning.cli.evaluate", "evaluate")
+export = partial(run_imported, "export", "ctrl_rl_learning.cli.export", "export")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from ctrl_rl_core.systems.system import make_system
 from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT
+from ctrl_rl_learning.sb3.algorithms import ROLL_OUT
 from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.training.analysis import gradients

@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_training.experiments.matrix import run_experiments
-from ctrl_rl_training.experiments.replay_buffer import ReplayBuffer
-from ctrl_rl_training.experiments.run import RunOptions
-from ctrl_rl_training.experiments.run_folder import result_file
-from ctrl_rl_training.experiments.trainer import train
+from ctrl_rl_learning.study.matrix import run_experiments
+from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.study.trainer import train
+from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.data.trajectory import advantages

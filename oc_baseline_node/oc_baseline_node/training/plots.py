@@ -21,7 +21,7 @@ from ctrl_rl_core.plots import (
     picture,
     style_of,
 )
-from ctrl_rl_training.experiments.figure_data import DrivenPath, Figures, ReturnCurve
+from ctrl_rl_learning.study.figure_data import DrivenPath, Figures, ReturnCurve
 from pydantic import Field, model_validator
 
 from ctrl_rl_core import NavigationTask

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from ctrl_rl_core.io.schema import Name
 from ctrl_rl_core.plots import MOST_LINES, Panel, best_of, draw_learning, line_of
-from ctrl_rl_training.experiments.figure_data import Figures, ValueCurve
+from ctrl_rl_learning.study.figure_data import Figures, ValueCurve
 from pydantic import Field
 
 from option_coordinator.training.experiments.methods import METHODS

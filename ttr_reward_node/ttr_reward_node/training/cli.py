@@ -8,7 +8,8 @@ from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
-from ctrl_rl_training.cli import (
+from ctrl_rl_learning.sb3.algorithm_names import ALGORITHMS, THESIS_ALGORITHMS
+from ctrl_rl_learning.study.command import (
     SimulatedOptions,
     TaskPlotOptions,
     make_command,
@@ -17,7 +18,6 @@ from ctrl_rl_training.cli import (
     some_of,
     train_and_collect,
 )
-from ctrl_rl_training.sb3.algorithm_names import ALGORITHMS, THESIS_ALGORITHMS
 
 from ctrl_rl_core import ResultsError
 from ttr_reward_node.errors import TimeToReachError

@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 
 import torch
-from ctrl_rl_training.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
-from ctrl_rl_training.sb3.environment import Environment, make_environment, observation_names
-from ctrl_rl_training.sb3.fleet import FleetEnvironments, evaluate_in_fleet
-from ctrl_rl_training.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
+from ctrl_rl_learning.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
+from ctrl_rl_learning.sb3.environment import Environment, make_environment, observation_names
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet
+from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
 
 from ctrl_rl_core import Actor, NavigationTask, interface_of, load_navigation_task, task_digest
 from ttr_reward_node.rewards.progress import TimeToReach

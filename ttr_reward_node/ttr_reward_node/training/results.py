@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_training.experiments.results import collect_rows, curves_of, finished_runs, metric, metrics_of_speed
-from ctrl_rl_training.experiments.run_folder import result_file
-from ctrl_rl_training.sb3.state_visitation import load_visits
+from ctrl_rl_learning.sb3.state_visitation import load_visits
+from ctrl_rl_learning.study.results import collect_rows, curves_of, finished_runs, metric, metrics_of_speed
+from ctrl_rl_learning.study.run_folder import result_file
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Result

@@ -10,10 +10,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_training.sb3.algorithm_names import THESIS_ALGORITHMS
-from ctrl_rl_training.sb3.algorithms import make_algorithm
-from ctrl_rl_training.sb3.environment import Environment, Vector, make_environment
-from ctrl_rl_training.sb3.training import SimulatedRun
+from ctrl_rl_learning.sb3.algorithm_names import THESIS_ALGORITHMS
+from ctrl_rl_learning.sb3.algorithms import make_algorithm
+from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment
+from ctrl_rl_learning.sb3.training import SimulatedRun
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, load_navigation_task
@@ -68,7 +68,7 @@ class RewardRun(SimulatedRun):
 
     Attributes:
         task_name: Name of the task, or its file.
-        algorithm: One of `ctrl_rl_training.sb3.algorithm_names.ALGORITHMS`.
+        algorithm: One of `ctrl_rl_learning.sb3.algorithm_names.ALGORITHMS`.
         reward: One of `TRAINING_REWARDS`.
         seed: Seed of everything random.
         grid: File of the task's time-to-reach function, for "ttr" and "ttr_progress".

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ctrl_rl_core.tasks.outcome import Outcome
-from ctrl_rl_training.evaluation import EvaluateOptions, report
+from ctrl_rl_learning.cli.evaluate import EvaluateOptions, report
 
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import evaluate
@@ -16,7 +16,7 @@ from koopman_lqr_controller.training.environments.benchmark_tasks import find_ta
 
 
 def evaluate_in_episodes(policy: Path, task: str | None, episodes: int, seed: int, results: Path | None) -> int:
-    """Play the episodes `seed`, `seed` + 1 and so on, report them as `ctrl_rl_training.evaluation` does, and return 0.
+    """Play the episodes `seed`, `seed` + 1 and so on, report them as `ctrl_rl_learning.cli.evaluate`, and return 0.
 
     Raises:
         KoopmanError: The file holds no policy that `train` learns, or its task is unknown, or has changed.

@@ -165,7 +165,7 @@ def _mpc(options: MpcDrives) -> int:
 
 
 def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
-    from ctrl_rl_training.experiments.results import read_figures
+    from ctrl_rl_learning.study.results import read_figures
 
     from oc_baseline_node.training.plots import Learnt  # matplotlib is not for robots
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_training.sb3.roll_out import EvaluatedEpisode, play_episode
+from ctrl_rl_learning.sb3.roll_out import EvaluatedEpisode, play_episode
 from numpy.typing import NDArray
 from sim_bridge.environments import NavigationEnv
 

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from ctrl_rl_training.sb3.algorithms import REWARD_SCALE
-from ctrl_rl_training.sb3.environment import observation_scales
+from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
+from ctrl_rl_learning.sb3.environment import observation_scales
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask
@@ -30,7 +30,7 @@ class OcBaseline:
 
     Args:
         value: Optimal control value V_oc of the task, over the task's states.
-        task: whose observations are given, as `ctrl_rl_training.sb3.environment` scales them.
+        task: whose observations are given, as `ctrl_rl_learning.sb3.environment` scales them.
         noise: standard deviation of what is added to each component of x_k before V_oc is asked, in SI units
             (thesis Fig. 3.16); drawn from torch's generator, which a run seeds.
 

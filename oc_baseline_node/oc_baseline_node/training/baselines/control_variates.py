@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-from ctrl_rl_training.sb3.algorithms import NormalizedTanh
+from ctrl_rl_learning.sb3.algorithms import NormalizedTanh
 from stable_baselines3 import PPO
 from torch import nn
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_training.experiments.results import (
+from ctrl_rl_learning.study.results import (
     as_table,
     collect_rows,
     curves_of,

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_training.io.array_file import load_arrays, save_arrays
-from ctrl_rl_training.io.learner_state import restore_state, state_arrays
+from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
 
 from option_coordinator.training.learners.learner import Learner
 
@@ -29,7 +29,7 @@ class Checkpoints:
         """Bring the new learner to where a checkpoint was and return the progress.
 
         Raises:
-            Exception: one of `ctrl_rl_training.experiments.trainer.UNUSABLE`.
+            Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.
         """
         arrays, progress = load_arrays(path)
         restore_state(self._learner.networks, self._learner.optimizers, arrays)

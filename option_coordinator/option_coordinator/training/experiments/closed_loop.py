@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_training.experiments.run import RunOptions
-from ctrl_rl_training.experiments.trainer import train
+from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study.trainer import train
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from ctrl_rl_training.experiments.estimate import Estimate, estimate
+from ctrl_rl_learning.study.estimate import Estimate, estimate
 from numpy.typing import NDArray
 from torch import Tensor
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_training.experiments.results import (
+from ctrl_rl_learning.study.results import (
     Metric,
     as_table,
     collect_rows,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_training.experiments.run import Point, Run, RunOptions, Tell, find_method
+from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell, find_method
 
 from ctrl_rl_core import task_digest
 from option_coordinator.environments.option_env import OptionEnvironment

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_training.io.learner_state import Arrays
+from ctrl_rl_learning.torch.learner_state import Arrays
 from numpy.typing import NDArray
 from torch import Tensor, nn
 

@@ -1,7 +1,0 @@
-"""The error of this package."""
-
-from ctrl_rl_core import CtrlRlError
-
-
-class BenchmarkError(CtrlRlError):
-    """A benchmark cannot be run as it was asked for."""

@@ -1,1 +1,0 @@
-"""Runs of the ladder, and their table."""

@@ -1,0 +1,1 @@
+"""Learning in one house: what every method that trains policies shares."""

@@ -1,0 +1,98 @@
+"""The command `evaluate_offline`: what bags of other drivers say about a policy before it drives."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ctrl_rl_bags.datasets.options import print_note
+from ctrl_rl_core.command import OptionalFileToWrite, Positive, make_command
+from tqdm import tqdm
+
+from ctrl_rl_core import Actor, Result, load_navigation_task, task_digest, write_results
+from ctrl_rl_learning.cli.learn_offline import TaskOptions
+from ctrl_rl_learning.errors import LearningError
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions(TaskOptions):
+    """Predict from bags what a policy would earn, with 95 % intervals, and say whether it may be called better.
+
+    Exits with 1 where the bags do not show that the policy is better than their driver.
+    """
+
+    policy: Path
+    """Policy file that `learn_offline` or `train` wrote."""
+    updates: Positive = 3000
+    """Number of updates of each fit."""
+    fits: Positive = 3
+    """Number of fits, whose spread is part of the intervals."""
+    results: OptionalFileToWrite = None
+    """JSON file to write the estimates to."""
+
+
+def _evaluate(options: EvaluateOptions) -> int:
+    task = load_navigation_task(options.task)
+    actor = Actor.load(options.policy)
+    if actor.manifest.get("task") != task.name:
+        raise LearningError(f"{options.policy}: has learnt the task '{actor.manifest.get('task')}', not '{task.name}'")
+    if actor.manifest.get("task_digest") != task_digest(task):
+        print(f"evaluate_offline: {options.policy}: has learnt another version of the task", file=sys.stderr)
+    from ctrl_rl_learning.offline.data.transitions import load_transitions
+    from ctrl_rl_learning.offline.data.values import load_values
+    from ctrl_rl_learning.offline.evaluation.report import evaluate_offline as judge
+
+    values = None if options.value is None else load_values(options.value, task, options.values)
+    transitions = load_transitions(options.runs, task, options, tell=partial(print_note, "evaluate_offline"))
+    with tqdm(total=options.fits * options.updates, desc="evaluating", unit="update", disable=None) as bar:
+        report = judge(
+            transitions,
+            task,
+            actor,
+            values,
+            updates=options.updates,
+            fits=options.fits,
+            seed=options.seed,
+            tell=bar.update,
+        )
+    estimates = {
+        "driver of the bags": report.driver,
+        "fitted Q evaluation": report.fitted_q,
+        "doubly robust": report.doubly_robust,
+        "roll-outs in the model": report.model,
+        "gain, fitted Q": report.gain,
+        "gain, doubly robust": report.robust_gain,
+        "gain, roll-outs": report.model_gain,
+        "time lost, policy": report.time_lost,
+        "time lost, driver": report.driver_time_lost,
+        "time to goal, value": report.predicted_time,
+        "time to goal, bags": report.recorded_time,
+    }
+    print(f"{'discounted return':<22} mean       95 % interval")
+    for name, estimate in estimates.items():
+        if estimate is not None:
+            print(f"{name:<22} {estimate}")
+    print(
+        f"the doubly robust estimate rests on {report.effective_episodes:.1f} of {transitions.episode_count} episodes"
+    )
+    word = "roll-outs in the model" if report.by_model else "fitted Q evaluation"
+    print(f"go by      {word}: the model replays the bags with a correlation of {report.replayed:.2f}")
+    if options.results is not None:
+        rows = [
+            Result(options.policy.name, f"{name}{end}", "1", [getattr(estimate, key)])
+            for name, estimate in estimates.items()
+            if estimate is not None
+            for key, end in (("mean", ""), ("low", ", low"), ("high", ", high"))
+        ]
+        write_results(options.results, f"evaluate_offline_{task.name}", [options.seed], rows, {"better": report.better})
+        print(f"results    {options.results}")
+    for objection in report.objections:
+        print(f"evaluate_offline: not called better: {objection}", file=sys.stderr)
+    if report.better:
+        print("verdict    better than the driver of the bags")
+    return 0 if report.better else 1
+
+
+evaluate_offline = make_command("evaluate_offline", EvaluateOptions, _evaluate)

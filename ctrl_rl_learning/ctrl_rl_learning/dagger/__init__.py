@@ -1,0 +1,1 @@
+"""A student learns by lidar what an expert does who knows the map."""

@@ -1,0 +1,141 @@
+"""A run of lessons: the pupil drives, the teacher says at each scan what it would do, and the pupil learns all of it.
+
+Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning"
+(AISTATS 2011).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, task_digest
+from ctrl_rl_learning.dagger.episode import DaggerEpisode, LabelledSample, corridor_interface
+from ctrl_rl_learning.dagger.student import Student
+from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
+from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
+
+_UPDATES = 1500
+_LAST_UPDATES = 10_000
+_SEEDS = 1_000_000
+"""Distance between the seeds of two runs; episodes of a test begin at 0."""
+_TEACHER = 0.2
+"""Share of the lessons after the first iteration in which the teacher drives."""
+
+
+class Lessons:
+    """The learner of one run: all moments so far, and the pupil."""
+
+    def __init__(self, task: NavigationTask, seed: int, options: RunOptions) -> None:
+        self._task, self._seed, self._options = task, seed, options
+        self._interface = corridor_interface(task)
+        torch.manual_seed(seed)
+        self._pupil = Student(self._interface)
+        self._seen = np.empty((0, self._interface.size), np.float32)
+        self._wanted = np.empty((0, 2), np.float32)
+        self._episodes = 0
+
+    def iterate(self, curve: Sequence[Point]) -> Point:
+        """Drive lessons, the first ones by the teacher alone, and learn from all so far."""
+        random = np.random.default_rng((self._seed, len(curve)))
+        moments: list[LabelledSample] = []
+        ends = []
+        while len(moments) < self._options.samples:
+            taught = not curve or random.random() < _TEACHER
+            lesson = DaggerEpisode(self._task, self._interface, self._seed * _SEEDS + _SEEDS // 2 + self._episodes)
+            self._episodes += 1
+            moments += lesson.drive(None if taught else self._pupil.command)
+            if not taught or not curve:
+                ends.append(lesson.outcome is Outcome.GOAL)
+        self._seen = np.concatenate((self._seen, [each.observation for each in moments]))
+        self._wanted = np.concatenate((self._wanted, [each.wanted for each in moments]), dtype=np.float32)
+        loss = self._learn(_UPDATES, random)
+        return {"samples": len(self._seen), "evaluation": float(np.mean(ends)), "loss": loss}
+
+    def _learn(self, updates: int, random: np.random.Generator) -> float:
+        return self._pupil.fit(self._seen, self._wanted, updates, random)
+
+    def save(self, path: Path, progress: Mapping[str, Any]) -> None:
+        """Write a checkpoint."""
+        arrays: dict[str, NDArray[Any]] = {"seen": self._seen, "wanted": self._wanted}
+        arrays |= state_arrays({"body": self._pupil.body}, {"optimizer": self._pupil.optimizer})
+        save_arrays(path, arrays, {"episodes": self._episodes, "progress": dict(progress)})
+
+    def load(self, path: Path) -> dict[str, Any]:
+        """Go on from a checkpoint and return its progress."""
+        arrays, header = load_arrays(path)
+        self._seen, self._wanted, self._episodes = arrays.pop("seen"), arrays.pop("wanted"), int(header["episodes"])
+        restore_state({"body": self._pupil.body}, {"optimizer": self._pupil.optimizer}, arrays)
+        progress: dict[str, Any] = header["progress"]
+        return progress
+
+    def finish(self, folder: Path) -> dict[str, Any]:
+        """Learn longer from all moments, write the policy, and count how often it arrives in new episodes."""
+        loss = self._learn(_LAST_UPDATES, np.random.default_rng((self._seed, _SEEDS)))
+        ends = []
+        for seed in range(self._options.final_evaluations):
+            lesson = DaggerEpisode(self._task, self._interface, seed)
+            for _ in lesson.drive(self._pupil.command):
+                pass
+            ends.append(lesson.outcome)
+        success = float(np.mean([end is Outcome.GOAL for end in ends]))
+        manifest = {
+            "task": self._task.name,
+            "task_digest": task_digest(self._task),
+            "method": "taught by the time to reach",
+            "seed": self._seed,
+            "samples": len(self._seen),
+            "success": success,
+        }
+        self._pupil.actor(manifest).save(folder / "policy.safetensors")
+        collisions = float(np.mean([end is Outcome.COLLISION for end in ends]))
+        return {"success": success, "collisions": collisions, "loss": loss}
+
+
+@dataclass(frozen=True)
+class TaughtRun(Run):
+    """A corridor that is taught from one seed.
+
+    Attributes:
+        task_name: Name or file of the task.
+        seed: Seed of episodes, network and batches.
+    """
+
+    task_name: str
+    seed: int
+
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+        return load_navigation_task(self.task_name)
+
+    @property
+    def name(self) -> str:
+        """Name of the run and of its folder."""
+        return f"{self.task.name}-taught-s{self.seed}"
+
+    @contextmanager
+    def begin(self, options: RunOptions, tell: Tell) -> Iterator[Lessons]:  # noqa: ARG002 - one iteration is short
+        """Return the learner before its first lesson."""
+        yield Lessons(self.task, self.seed, options)
+
+    def terms(self, options: RunOptions) -> Mapping[str, Any]:
+        """Return what must stay the same for a run to go on."""
+        return {
+            "task_digest": task_digest(self.task),
+            "seed": self.seed,
+            "samples": options.samples,
+            "final_evaluations": options.final_evaluations,
+        }
+
+    def words(self, point: Point) -> float | str:
+        """Return the success of the pupil's own drives before it learnt from them."""
+        return float(point["evaluation"])

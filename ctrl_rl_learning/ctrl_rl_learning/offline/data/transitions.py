@@ -1,0 +1,205 @@
+"""Transitions from bags: a policy's observations, the commands given, rewards, and what came of it.
+
+transitions = load_transitions([Path("runs/drives/bag")], load_navigation_task("car_navigation"))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ctrl_rl_bags.alignment.clocks import warn
+from ctrl_rl_bags.datasets.conversion import find_bag
+from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
+from ctrl_rl_bags.datasets.frames import (
+    ACTION,
+    DONE,
+    GOAL,
+    IS_LAST,
+    ODOMETRY,
+    OUTCOME,
+    REWARD,
+    SCAN,
+    Frames,
+    Layout,
+    whole_episodes,
+)
+from ctrl_rl_bags.datasets.options import TaskDriveOptions, check_task
+from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.sensing.pose import planar
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, OdometryReader, PolicyManifest, Sensors, task_digest, terminal_reward
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.data.interface import sensed_interface
+
+Array = NDArray[np.float64]
+Vectors = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Transitions of recorded drives, those of an episode in order.
+
+    Attributes:
+        observations: Observations before (N, n), in SI units.
+        actions: Actions in [-1, 1] (N, 2), which map to the least and the largest command.
+        rewards: Rewards (N,): of the bag, and of the task where an episode ended; NaN where the bag has none.
+        task_rewards: Rewards of the task alone (N,): 0 but where an episode ended.
+        next_observations: Observations after (N, n).
+        done: Whether the episode ended there, other than by its time (N,).
+        states: States before (N, d), in SI units.
+        next_states: States after (N, d).
+        episodes: Number of the episode (N,), rising.
+        outcomes: Outcome after (N,), as in ctrl_rl_core.Outcome.
+        first: Whether the transition begins its episode (N,).
+    """
+
+    observations: Vectors
+    actions: Vectors
+    rewards: Array
+    task_rewards: Array
+    next_observations: Vectors
+    done: NDArray[np.bool_]
+    states: Array
+    next_states: Array
+    episodes: NDArray[np.int64]
+    outcomes: NDArray[np.int64]
+    first: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    @property
+    def success(self) -> float:
+        """Share of the episodes that reached the goal."""
+        ends = np.append(np.flatnonzero(self.first)[1:] - 1, len(self) - 1)
+        return float(np.mean(self.outcomes[ends] == 1))
+
+    @property
+    def episode_count(self) -> int:
+        """Number of episodes."""
+        return int(self.first.sum())
+
+    def returns(self, discount: float) -> Array:
+        """Return the discounted return of each episode (episodes,), by the task's rewards."""
+        starts = np.flatnonzero(self.first)
+        steps = np.arange(len(self)) - starts[np.cumsum(self.first) - 1]
+        return np.add.reduceat(self.task_rewards * discount**steps, starts)
+
+    def rows(self, index: NDArray[Any]) -> Transitions:
+        """Return some transitions."""
+        return Transitions(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+
+def load_transitions(
+    runs: Sequence[Path],
+    task: NavigationTask,
+    options: TaskDriveOptions | None = None,
+    interface: PolicyManifest | None = None,
+    tell: Callable[[str], object] = warn,
+) -> Transitions:
+    """Return the transitions of bags, in steps of the task's length.
+
+    Args:
+        runs: Bags, or folders of runs with a bag in `bag`.
+        task: Task that was driven.
+        options: Topics, beams and clock of the bags; the usual ones unless given.
+        interface: Observation and commands of the policies; None for `sensed_interface`.
+        tell: Takes a line about what was left out; warns unless given.
+
+    Raises:
+        BagError: A bag cannot be read or lacks scans, odometry or commands; it is of another task, or its scans come
+            more seldom than the task's steps.
+        LearningError: Nothing in it is a transition.
+        PolicyError: The scans do not show what a policy observes.
+    """
+    options, found = options or TaskDriveOptions(), Found()
+    how = options.extraction(period=task.episode.time_step)
+    parts: list[Transitions] = []
+    for run in runs:
+        bag = find_bag(run)
+        layout = find_layout(bag, how)
+        check_task(bag, layout.digests, task.name, task_digest(task), allowed=options.other_task, tell=tell)
+        before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
+        parts += to_transitions(extract([bag], layout, how, found), layout, task, before, interface)
+    if not parts:
+        raise LearningError(f"{runs[0]}: {found.why_nothing}")
+    for line in found.notes:
+        tell(line)
+    return concatenate(parts)
+
+
+def to_transitions(
+    frames: Iterable[Frames],
+    layout: Layout,
+    task: NavigationTask,
+    before: int = 0,
+    interface: PolicyManifest | None = None,
+) -> list[Transitions]:
+    """Return the transitions of each episode of frames; their numbers count from `before`."""
+    manifest = interface or sensed_interface(task)
+    observer = _Observer(manifest, task, layout)
+    return [
+        _episode(columns, observer, manifest, task, before + piece.episode) for piece, columns in whole_episodes(frames)
+    ]
+
+
+def concatenate(parts: Sequence[Transitions]) -> Transitions:
+    """Return all transitions of several sets, in their order."""
+    names = [field.name for field in fields(Transitions)]
+    return Transitions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _episode(
+    columns: Mapping[str, NDArray[Any]],
+    observer: _Observer,
+    manifest: PolicyManifest,
+    task: NavigationTask,
+    number: int,
+) -> Transitions:
+    seen, states = observer.observe(columns)
+    kept = ~columns[IS_LAST].astype(np.bool_)
+    outcomes = columns[OUTCOME][kept].astype(np.int64)
+    paid = terminal_reward(np.clip(outcomes, 0, 4), task.rewards)
+    low, high = np.array(manifest.action.low), np.array(manifest.action.high)
+    actions = np.clip(2.0 * (columns[ACTION][kept] - low) / (high - low) - 1.0, -1.0, 1.0)
+    first = np.zeros(len(outcomes), dtype=np.bool_)
+    first[0] = True
+    return Transitions(
+        observations=seen[:-1],
+        actions=actions.astype(np.float32),
+        rewards=np.where(outcomes == 0, columns[REWARD][kept], paid),
+        task_rewards=np.where(outcomes == 0, 0.0, paid),
+        next_observations=seen[1:],
+        done=columns[DONE][kept].astype(np.bool_),
+        states=states[:-1],
+        next_states=states[1:],
+        episodes=np.full(len(outcomes), number, dtype=np.int64),
+        outcomes=outcomes,
+        first=first,
+    )
+
+
+class _Observer:
+    """Builds observations and states from the columns of frames, as a node builds them from messages."""
+
+    def __init__(self, manifest: PolicyManifest, task: NavigationTask, layout: Layout) -> None:
+        self._scan = layout.scan.geometry
+        self._build, self._state = ObservationBuilder(manifest), OdometryReader(task.system.build().state_names)
+        self._idle = np.array(manifest.rest)
+
+    def observe(self, columns: Mapping[str, NDArray[Any]]) -> tuple[Vectors, Array]:
+        """Return observations (n, size) and states (n, d)."""
+        seen, states, command = [], [], self._idle
+        goals = columns.get(GOAL)
+        for row, odometry in enumerate(columns[ODOMETRY]):
+            goal = None if goals is None else planar(goals[row].tolist())
+            sensors = Sensors(columns[SCAN][row], self._scan, odometry, planar(odometry[:7].tolist()), goal, command)
+            seen.append(self._build(sensors))
+            states.append(self._state(odometry))
+            command = columns[ACTION][row]
+        return np.array(seen, dtype=np.float32), np.array(states)

@@ -1,0 +1,1 @@
+"""Drivers, and drives that are recorded."""

@@ -1,0 +1,142 @@
+"""A robot on topics as a Gymnasium environment.
+
+environment = RobotEnv(robot, task, interface, StepReward(task, value))
+observation, info = environment.reset(seed=1)
+observation, reward, terminated, truncated, info = environment.step(action)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from ctrl_rl_core.policies.observation import ObservationBuilder
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, Outcome, PolicyManifest
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.on_robot.environment.rewards import StateReader, StepReward
+from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading, Robot
+from ctrl_rl_learning.on_robot.environment.step_clock import StepClock, StepTiming
+
+Vector = NDArray[np.float32]
+_FENCE_M = 0.5
+
+
+class RobotEnv(gymnasium.Env[Vector, Vector]):
+    """One robot that drives a task behind its safety filter, in the time of its own clock.
+
+    Observation: what the policy node builds of the same interface. Action: [-1, 1] for each command, mapped to the
+    interface's limits. An episode ends at the goal, by a collision or in a trap (as simulator, operator or pose say),
+    and is cut after the task's steps or outside of the arena.
+
+    Info of each step: `action` (2,), as sent to the filter on average, the operator's included; `operator`, the part
+    of the step that the operator drove; `changed`, the part of the filter's answers that were another command;
+    `duration`, `late` [s] and `missed` steps of the clock; `age` of the scan [s]; `late_scans`; `outcome`, a name of
+    ctrl_rl_core.Outcome, or "FENCE".
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
+
+    def __init__(self, robot: Robot, task: NavigationTask, interface: PolicyManifest, reward: StepReward) -> None:
+        """Make the environment.
+
+        Args:
+            robot: Robot that is driven.
+            task: Task with goal, arena and length of an episode.
+            interface: Observation and commands of the policy.
+            reward: Reward of each step.
+
+        Raises:
+            LearningError: The interface is not one of a robot on wheels.
+        """
+        if interface.robot != "differential_drive" or interface.action.choices is not None:
+            raise LearningError("only policies with commands v and omega learn on a robot")
+        self.render_mode = None
+        self._robot, self._task, self._reward = robot, task, reward
+        self._observe = ObservationBuilder(interface)
+        self._low, self._high = np.array(interface.action.low), np.array(interface.action.high)
+        self._clock = StepClock(interface.period or task.episode.time_step)
+        names = task.system.build().state_names
+        self._state_of = StateReader(names)
+        self._in_goal = task.goal.region.make_test(names)
+        self._steps = 0
+        self.observation_space = spaces.Box(-np.inf, np.inf, (interface.size,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    @property
+    def period(self) -> float:
+        """Length of a step [s]."""
+        return self._clock.period
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
+        """Bring the robot to a start: a simulator draws it from the seed, else the operator does it.
+
+        Raises:
+            LearningError: The robot, its simulator or its safety filter does not answer.
+        """
+        super().reset(seed=seed, options=options)
+        drawn = int(self.np_random.integers(2**31)) if seed is None else seed
+        reading = self._robot.begin(drawn)
+        self._steps = 0
+        self._reward.begin(self._state_of(reading.sensors))
+        self._clock.begin(self._robot.now())
+        return self._observe(reading.sensors), {"age": reading.age, "outcome": Outcome.RUNNING.name}
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Drive by an action (2,) until the step is over.
+
+        Raises:
+            LearningError: The robot, its simulator or its safety filter does not answer; the robot was told to stand.
+        """
+        share = 0.5 * (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0)
+        try:
+            driven = self._robot.drive(self._low + share * (self._high - self._low), self._clock.due)
+            timing = self._clock.end(self._robot.now())
+            reading = self._robot.read()
+        except LearningError:
+            self._robot.stand()
+            raise
+        self._steps += 1
+        state = self._state_of(reading.sensors)
+        outcome = reading.outcome
+        if outcome is None:
+            outcome = Outcome.GOAL if self._in_goal(state.tolist()) else Outcome.RUNNING
+        fenced = outcome is Outcome.RUNNING and not self._inside(state)
+        truncated = fenced or outcome is Outcome.TIMEOUT or self._steps >= self._task.episode.steps
+        terminated = outcome not in (Outcome.RUNNING, Outcome.TIMEOUT)
+        if terminated or truncated:
+            self._robot.stand()
+        reward = self._reward.step(state, outcome)
+        info = self._info(driven, timing, reading)
+        info["outcome"] = "FENCE" if fenced else outcome.name
+        return self._observe(reading.sensors), reward, terminated, truncated and not terminated, info
+
+    def close(self) -> None:
+        """Let the robot stand."""
+        self._robot.stand()
+
+    def _inside(self, state: NDArray[np.float64]) -> bool:
+        """Return whether the robot is in the arena, or near it: odometry drifts."""
+        arena = self._task.arena
+        if arena is None:
+            return True
+        return all(
+            side.low - _FENCE_M <= place <= side.high + _FENCE_M
+            for side, place in zip(arena.bounds, state[:2], strict=False)
+        )
+
+    def _info(self, driven: Driven, timing: StepTiming, reading: Reading) -> dict[str, Any]:
+        span = self._high - self._low
+        return {
+            "action": (2.0 * (driven.command - self._low) / span - 1.0).clip(-1.0, 1.0).astype(np.float32),
+            "operator": driven.operator,
+            "changed": driven.changed,
+            "duration": timing.duration,
+            "late": timing.late,
+            "missed": timing.missed,
+            "age": reading.age,
+            "late_scans": reading.late_scans,
+        }

@@ -1,0 +1,170 @@
+"""A session on the robot: episodes, learning between them, a checkpoint after each, and tests at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from ctrl_rl_core.io.file_checks import raise_as
+from numpy.typing import NDArray
+
+from ctrl_rl_core import Outcome
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
+from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner
+from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+
+Vector = NDArray[np.float32]
+REWARD_SCALE = 0.01
+"""Every reward is multiplied by it before learning."""
+_SEEDS_APART = 100_000
+TEST_SEED = 1_000_000
+_WANDER = 0.7
+"""Part of the exploration that stays from step to step."""
+
+
+@dataclass
+class EpisodeLog:
+    """What happened in an episode.
+
+    Attributes:
+        outcome: Name of its outcome; "FENCE" where the robot left the arena.
+        steps: Number of steps.
+        seconds: Time that the robot drove [s].
+        missed: Number of missed steps.
+        late: Longest lateness of a step [s].
+        age: Largest age of a scan [s].
+        late_scans: Number of scans that came too late or out of order.
+        operator: Number of steps in which the operator drove.
+        changed: Mean part of the commands that the safety filter changed.
+    """
+
+    outcome: str = Outcome.RUNNING.name
+    steps: int = 0
+    seconds: float = 0.0
+    missed: int = 0
+    late: float = 0.0
+    age: float = 0.0
+    late_scans: int = 0
+    operator: int = 0
+    changed: float = 0.0
+
+    def add(self, info: Mapping[str, Any]) -> None:
+        """Add a step by its info."""
+        self.changed += (info["changed"] - self.changed) / (self.steps + 1)
+        self.outcome, self.steps, self.seconds = info["outcome"], self.steps + 1, self.seconds + info["duration"]
+        self.missed, self.late_scans = self.missed + info["missed"], self.late_scans + info["late_scans"]
+        self.late, self.age = max(self.late, info["late"]), max(self.age, info["age"])
+        self.operator += info["operator"] > 0.0
+
+
+class Session:
+    """Fine-tuning of one policy on one robot.
+
+    Attributes:
+        episodes: Logs of the episodes so far.
+    """
+
+    def __init__(
+        self, environment: RobotEnv, tuner: FineTuner, folder: Path, seed: int, terms: Mapping[str, Any]
+    ) -> None:
+        """Go on where a checkpoint in the folder ends.
+
+        Args:
+            environment: Environment of the robot.
+            tuner: Policy that learns.
+            folder: Folder of checkpoint and policies.
+            seed: Seed of starts and exploration.
+            terms: Settings that a checkpoint must share, as JSON.
+
+        Raises:
+            LearningError: The checkpoint is damaged, or was begun with other settings.
+        """
+        self._environment, self._tuner, self._folder, self._seed = environment, tuner, folder, seed
+        self._terms = dict(terms)
+        self._checkpoint = folder / "checkpoint.safetensors"
+        self.episodes: list[EpisodeLog] = []
+        if self._checkpoint.exists():
+            with raise_as(LearningError, self._checkpoint, "delete it to begin anew"):
+                arrays, header = load_arrays(self._checkpoint)
+                if header.get("terms") != self._terms:
+                    raise LearningError(f"was begun with other settings, {header.get('terms')}: give another --folder")
+                try:
+                    tuner.restore(arrays)
+                    self.episodes = [EpisodeLog(**each) for each in header["episodes"]]
+                except (KeyError, RuntimeError, TypeError, ValueError) as error:
+                    raise LearningError(f"is of another policy ({type(error).__name__})") from None
+
+    @property
+    def seconds(self) -> float:
+        """Time that the robot has driven so far [s]."""
+        return sum(each.seconds for each in self.episodes)
+
+    def learn(self, seconds: float, tell: Callable[[EpisodeLog], object]) -> None:
+        """Drive and learn until the robot has driven for so long [s], and finish the episode then.
+
+        Raises:
+            LearningError: The robot does not answer; the checkpoint holds all episodes before.
+        """
+        while self.seconds < seconds:
+            number = len(self.episodes)
+            random = np.random.default_rng((self._seed, number))
+            torch.manual_seed(self._seed * _SEEDS_APART + number)
+            log = self._drive(self._seed * _SEEDS_APART + number, _Explorer(self._tuner, random), remember=True)
+            self._tuner.learn(log.steps, random)
+            self.episodes.append(log)
+            self._save()
+            tell(log)
+
+    def test(self, episodes: int, tell: Callable[[EpisodeLog], object]) -> list[EpisodeLog]:
+        """Return episodes of the policy as it stands, without exploration; the starts are the same for all."""
+        actor = self._tuner.to_actor({})
+        out = []
+        for number in range(episodes):
+            log = self._drive(
+                TEST_SEED + number, lambda seen: actor.scaled_action((seen - actor.middle) / actor.unit), remember=False
+            )
+            out.append(log)
+            tell(log)
+        return out
+
+    def save_policy(self) -> None:
+        """Write policy.safetensors, which the policy node drives by."""
+        told = {"fine_tuned": {"seconds": self.seconds, "episodes": len(self.episodes)}}
+        self._tuner.to_actor(told).save(self._folder / "policy.safetensors")
+
+    def _drive(self, seed: int, act: Callable[[Vector], Vector], remember: bool) -> EpisodeLog:
+        environment, log = self._environment, EpisodeLog()
+        seen, _ = environment.reset(seed=seed)
+        over = False
+        while not over:
+            following, reward, terminated, truncated, info = environment.step(act(seen))
+            log.add(info)
+            if remember:
+                settings = self._tuner.settings
+                discount = 0.0 if terminated else settings.discount ** (info["duration"] / environment.period)
+                by_operator = info["operator"] > 0.0
+                self._tuner.add(seen, info["action"], REWARD_SCALE * reward, following, discount, by_operator)
+            seen, over = following, terminated or truncated
+        return log
+
+    def _save(self) -> None:
+        header = {"terms": self._terms, "episodes": [asdict(each) for each in self.episodes]}
+        save_arrays(self._checkpoint, self._tuner.arrays(), header)
+        self.save_policy()
+
+
+class _Explorer:
+    """The policy with some noise, which stays for a few steps: single steps hardly move a robot."""
+
+    def __init__(self, tuner: FineTuner, random: np.random.Generator) -> None:
+        self._tuner, self._random, self._noise = tuner, random, np.zeros(2)
+
+    def __call__(self, seen: Vector) -> Vector:
+        fresh = np.sqrt(1.0 - _WANDER**2) * self._tuner.settings.noise * self._random.normal(size=2)
+        self._noise = _WANDER * self._noise + fresh
+        return np.clip(self._tuner.act(seen) + self._noise, -1.0, 1.0).astype(np.float32)

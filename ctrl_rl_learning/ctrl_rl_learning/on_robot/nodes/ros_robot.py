@@ -1,0 +1,204 @@
+"""A robot on topics as an environment drives it: in real time, with resets by its operator or by a simulator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.executors import SingleThreadedExecutor
+
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading
+from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, RobotNode
+from ctrl_rl_msgs.srv import ResetWorld
+
+Array = NDArray[np.float64]
+PATIENCE_S = 10.0
+"""Wall time for which an input may be missing before an episode is given up [s]."""
+_SLOWER = 6.0
+"""A safety filter may take longer by this factor to begin: it compiles its sets then."""
+_SPIN_S = 0.02
+
+
+class Ros:
+    """Takes messages for a node, and waits for things to happen."""
+
+    def __init__(self, node: RobotNode, patience: float = PATIENCE_S) -> None:
+        """Serve a node.
+
+        Args:
+            node: Node of the robot.
+            patience: Wall time for which an answer may be missing before an episode is given up [s].
+        """
+        self.node, self.patience = node, patience
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    def spin(self, seconds: float = _SPIN_S) -> None:
+        """Handle one message, or wait for so long [s]."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def until(
+        self,
+        done: Callable[[], bool],
+        what: str,
+        patience: float | None = None,
+        wait: Callable[[], object] | None = None,
+    ) -> None:
+        """Return once something is true; `wait` lets time pass in place of `spin`.
+
+        Raises:
+            LearningError: It was not true in so much wall time [s]; `what` says what was missing.
+        """
+        patience = self.patience if patience is None else patience
+        deadline = time.monotonic() + patience
+        while not done():
+            if time.monotonic() > deadline:
+                raise LearningError(f"{what} for {patience:g} s")
+            (wait or self.spin)()
+
+    def call(self, client: Any, request: Any) -> Any:
+        """Return the response of a service.
+
+        Raises:
+            LearningError: There is none.
+        """
+        self.until(client.service_is_ready, f"no simulator: the service {client.srv_name} is missing")
+        future = client.call_async(request)
+        self.until(future.done, f"no answer of {client.srv_name}")
+        return future.result()
+
+    def close(self) -> None:
+        """Send the last zero, and end the node."""
+        self.node.stop()
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+class Starts(Protocol):
+    """A way to bring the robot to a start."""
+
+    def begin(self, seed: int) -> None:
+        """Bring it there, and tell the node which episode it is."""
+
+
+class OperatorStarts:
+    """Starts by an operator, who puts the robot back and calls the service ~/ready."""
+
+    def __init__(self, ros: Ros, say: Callable[[str], object]) -> None:
+        self._ros, self._say = ros, say
+
+    def begin(self, _seed: int) -> None:
+        """Wait for the operator, for as long as it takes; the robot stands."""
+        node = self._ros.node
+        node.begin_episode(None)
+        self._say(f"put the robot at its start, then: ros2 service call /{NAME}/ready std_srvs/srv/Trigger")
+        while not node.ready:
+            self._ros.spin()
+
+
+class SimulatorStarts:
+    """Starts that a simulator draws from seeds."""
+
+    def __init__(self, ros: Ros, simulator: str = "sim_bridge") -> None:
+        self._ros = ros
+        self._client = ros.node.create_client(ResetWorld, f"{simulator}/reset")
+
+    def begin(self, seed: int) -> None:
+        """Begin an episode.
+
+        Raises:
+            LearningError: The simulator refuses, or does not answer.
+        """
+        response = self._ros.call(self._client, ResetWorld.Request(seed=seed))
+        if not response.success:
+            raise LearningError(f"the simulator cannot begin an episode: {response.message}")
+        self._ros.node.begin_episode(response.episode)
+
+
+class RosRobot:
+    """A robot in the time of its own clock: real time, or whatever a simulator makes of it."""
+
+    def __init__(self, ros: Ros, starts: Starts) -> None:
+        self._ros, self._starts = ros, starts
+
+    def now(self) -> float:
+        """Return steady time, or the simulator's [s]."""
+        return self._ros.node.now()
+
+    def begin(self, seed: int) -> Reading:
+        """Bring the robot to a start; it stands until the filter has answered and all inputs are fresh."""
+        node = self._ros.node
+        self._ros.until(
+            node.is_filtered, f"no safety filter takes {RAW}: start it, see --help; none", self._ros.patience * _SLOWER
+        )
+        node.rest()
+        self._starts.begin(seed)
+        scans, node.status_of_filter = node.scans, None
+        node.hold(np.zeros(2))
+        self.advance(self.now())
+        self._ros.until(lambda: node.scans > scans, "no scan")
+        self.await_inputs()
+        self._ros.until(lambda: node.status_of_filter is not None, "no word of the safety filter")
+        node.begin_step(self.now())
+        return self.read()
+
+    def drive(self, command: Array, until: float) -> Driven:
+        """Send a command (2,) until a time [s]."""
+        node = self._ros.node
+        node.begin_step(self.now())
+        node.hold(command)
+        self.advance(until)
+        self.await_inputs()  # where it has to wait the robot stands: what follows is a missed step
+        return node.end_step(self.now())
+
+    def advance(self, until: float) -> None:
+        """Let time pass until a time [s].
+
+        Raises:
+            LearningError: The clock stands still, or the safety filter is silent.
+        """
+        node, moved, last = self._ros.node, time.monotonic(), self.now()
+        heard, word = time.monotonic(), node.status_of_filter
+        while self.now() < until:
+            self._ros.spin(min(_SPIN_S, max(until - self.now(), 0.001)))
+            wall = time.monotonic()
+            if self.now() != last:
+                moved, last = wall, self.now()
+            if node.status_of_filter is not word:
+                heard, word = wall, node.status_of_filter
+            if wall - moved > self._ros.patience:
+                raise LearningError("the clock stands still: has the simulator ended, or been paused?")
+            if wall - heard > self._ros.patience:
+                raise LearningError("the safety filter is silent: nothing is driven without it")
+
+    def read(self) -> Reading:
+        """Return what the robot senses, as soon as all inputs are usable; that time is a part of the next step."""
+        self.await_inputs()
+        return self._ros.node.reading(self.stamp_now())
+
+    def await_inputs(self) -> None:
+        """Let time pass until scan and odometry are usable.
+
+        Raises:
+            LearningError: They do not become so.
+        """
+        node = self._ros.node
+        problem = node.input_fault()
+        if problem:
+            self._ros.until(lambda: not node.input_fault(), problem, wait=self._pass_time)
+
+    def _pass_time(self) -> None:
+        """Let a little time pass."""
+        self._ros.spin()
+
+    def stamp_now(self) -> float:
+        """Return the time that a message would be stamped with now [s]."""
+        return float(self._ros.node.get_clock().now().nanoseconds) * 1e-9
+
+    def stand(self) -> None:
+        """Let the robot stand."""
+        self._ros.node.rest()

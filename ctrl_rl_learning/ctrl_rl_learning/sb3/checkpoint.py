@@ -1,0 +1,101 @@
+"""What learning goes on from: networks, optimisers and replay in one safetensors file, whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch.learner_state import Arrays, restore_state, state_arrays
+
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_HISTORY, _VARIABLE, _REPLAY = "history.", "variable.", "replay."
+
+
+def save_checkpoint(
+    path: Path, model: BaseAlgorithm, progress: Mapping[str, Any], history: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write a checkpoint.
+
+    Args:
+        path: Path of the file; replaced if it exists.
+        model: Algorithm between two calls of its `learn`.
+        progress: Progress of the run, as JSON.
+        history: Counts of earlier iterations, as arrays.
+    """
+    tensors = model_arrays(model)
+    tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
+    save_arrays(path, tensors, {"samples": model.num_timesteps, "progress": dict(progress)})
+
+
+def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Bring a new model to where a checkpoint was and return progress and history.
+
+    Raises:
+        Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.
+    """
+    tensors, header = load_arrays(path)
+    restore_model(model, tensors)
+    model.num_timesteps = header["samples"]
+    history = {name.removeprefix(_HISTORY): array for name, array in tensors.items() if name.startswith(_HISTORY)}
+    return header["progress"], history
+
+
+def model_arrays(model: BaseAlgorithm) -> Arrays:
+    """Return networks, optimisers, single variables and replay."""
+    arrays = state_arrays(_networks(model), _optimizers(model))
+    arrays |= {f"{_VARIABLE}{name}": value.detach().cpu().numpy() for name, value in _variables(model).items()}
+    replay = _replay(model)
+    if replay is not None:
+        arrays |= {f"{_REPLAY}{name}": getattr(replay, name)[: replay.pos] for name in _REPLAYED}
+    return arrays
+
+
+def restore_model(model: BaseAlgorithm, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Bring a new model to where `model_arrays` found it.
+
+    Raises:
+        KeyError, RuntimeError: the arrays are of another algorithm or network.
+    """
+    restore_state(_networks(model), _optimizers(model), arrays)
+    for name, variable in _variables(model).items():
+        variable.data.copy_(torch.from_numpy(arrays[f"{_VARIABLE}{name}"]))
+    replay = _replay(model)
+    if replay is not None:
+        end = len(arrays[f"{_REPLAY}rewards"])
+        for name in _REPLAYED:
+            getattr(replay, name)[:end] = arrays[f"{_REPLAY}{name}"]
+        replay.pos = end
+
+
+def _networks(model: BaseAlgorithm) -> dict[str, torch.nn.Module]:
+    """Return the networks that the algorithm itself names as part of it."""
+    return {path: getattr(model, path) for path in _parts(model) if not path.endswith("optimizer")}
+
+
+def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
+    """Return its optimisers, by names without dots."""
+    paths = [path for path in _parts(model) if path.endswith("optimizer")]
+    return {path.removeprefix("policy.").replace(".", "_"): attrgetter(path)(model) for path in paths}
+
+
+def _variables(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
+    """Return what is learnt and belongs to no network."""
+    return {name: attrgetter(name)(model) for name in model._get_torch_save_params()[1]}
+
+
+def _parts(model: BaseAlgorithm) -> list[str]:
+    parts: list[str] = model._get_torch_save_params()[0]
+    return parts
+
+
+def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
+    """Return the samples of earlier roll-outs that the algorithm still learns from."""
+    return getattr(model, "replay_buffer", None)

@@ -1,0 +1,173 @@
+"""A fleet of robots as the environments of Stable-Baselines3, and as the test of a policy.
+
+What an episode pays beside the task's rewards, and where it starts, can be replaced: `FleetReward`, `FleetStarts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from ctrl_rl_core import Actor, NavigationTask, Outcome
+from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
+from ctrl_rl_learning.sb3.environment import Vector, observation_scales
+from ctrl_rl_learning.sb3.roll_out import EvaluatedEpisode
+from sim_bridge import PlanarFleet
+
+Array = NDArray[np.float64]
+_LARGEST_SEED = 2**32
+
+
+class FleetReward(Protocol):
+    """What the steps of all robots pay."""
+
+    def begin(self, robots: Sequence[int], states: Array) -> None:
+        """Begin episodes of robots at their states (len(robots), n)."""
+
+    def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
+        """Return what a step pays each robot (N,).
+
+        Args:
+            states: States after the step (N, n).
+            outcomes: Outcomes of their episodes, values of `Outcome` (N,).
+            rewards: Rewards of the task (N,).
+        """
+
+
+class FleetStarts(Protocol):
+    """Where episodes of training start."""
+
+    def draw(self, robot: int, random: np.random.Generator) -> Array | None:
+        """Return the state (n,) in which an episode of a robot starts; None where the task is to draw it."""
+
+    def ended(self, robot: int, outcome: Outcome) -> None:
+        """Take how an episode of a robot ended."""
+
+
+class FleetEnvironments(VecEnv):
+    """Robots that begin a new episode as soon as one has ended; observations as `ScaledObservation` has them.
+
+    Args:
+        task: Task of the robots.
+        size: Number of robots.
+        reward: Reward of the steps; the task's own unless given.
+        starts: Where episodes start; the task's start set unless given.
+    """
+
+    def __init__(
+        self, task: NavigationTask, size: int, reward: FleetReward | None = None, starts: FleetStarts | None = None
+    ) -> None:
+        self.render_mode = None
+        self._fleet, self._reward, self._starts = PlanarFleet(task, size), reward, starts
+        self._middle, self._unit = observation_scales(task)
+        self._actions = np.zeros((size, 2))
+        self._random = [np.random.default_rng(robot) for robot in range(size)]
+        observed = spaces.Box(-np.inf, np.inf, self._middle.shape, np.float32)
+        super().__init__(size, observed, spaces.Box(-1.0, 1.0, (2,), np.float32))
+
+    def reset(self) -> Vector:
+        """Begin an episode of each robot; return the observations (N, d)."""
+        for robot, seed in enumerate(self._seeds):
+            if seed is not None:
+                self._random[robot] = np.random.default_rng(seed)
+        self._reset_seeds()
+        self._begin(range(self.num_envs))
+        return self._observe()
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take the actions (N, 2) in [-1, 1]."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Vector, Vector, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Hold the actions for the task's time step."""
+        outcomes = self._fleet.step(self._actions).copy()
+        states, paid, observed = self._fleet.states(), self._fleet.rewards(), self._observe()
+        if self._reward is not None:
+            paid = self._reward.pay(states, outcomes, paid)
+        infos: list[dict[str, Any]] = [
+            {"outcome": Outcome(outcome).name, "state": state, "TimeLimit.truncated": outcome == Outcome.TIMEOUT}
+            for outcome, state in zip(outcomes, states, strict=True)
+        ]
+        over = outcomes != Outcome.RUNNING
+        if over.any():
+            ended = np.flatnonzero(over).tolist()
+            for robot in ended:
+                infos[robot]["terminal_observation"] = observed[robot]
+                if self._starts is not None:
+                    self._starts.ended(robot, Outcome(outcomes[robot]))
+            self._begin(ended)
+            fresh = self._observe()
+            observed = np.where(over[:, None], fresh, observed)
+        return observed, (REWARD_SCALE * paid).astype(np.float32), over, infos
+
+    def states(self) -> Array:
+        """Return the true states (N, n)."""
+        return self._fleet.states()
+
+    def _begin(self, robots: Sequence[int]) -> None:
+        for robot in robots:
+            random = self._random[robot]
+            start = None if self._starts is None else self._starts.draw(robot, random)
+            self._fleet.begin(robot, int(random.integers(_LARGEST_SEED)), start)
+        if self._reward is not None:
+            self._reward.begin(robots, self._fleet.states()[list(robots)])
+
+    def _observe(self) -> Vector:
+        return ((self._fleet.observations() - self._middle) / self._unit).astype(np.float32)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to give back."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute, the same for all robots."""
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, *_: Any) -> None:
+        """Refuse: no robot has attributes of its own."""
+        raise AttributeError(f"a fleet's robots have no '{attr_name}' of their own")
+
+    def env_method(self, method_name: str, *_: Any, **__: Any) -> list[Any]:
+        """Refuse: no robot has methods of its own."""
+        raise AttributeError(f"a fleet's robots have no '{method_name}' of their own")
+
+    def env_is_wrapped(self, _: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
+        """Return that none is wrapped."""
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def evaluate_in_fleet(
+    actor: Actor, task: NavigationTask, seeds: Iterable[int], reward: FleetReward | None = None
+) -> list[EvaluatedEpisode]:
+    """Return the episodes of a deterministic policy from seeds, all played side by side."""
+    chosen = list(seeds)
+    if not chosen:
+        return []
+    fleet, (middle, unit) = PlanarFleet(task, len(chosen)), observation_scales(task)
+    for robot, seed in enumerate(chosen):
+        fleet.begin(robot, seed)
+    states = [fleet.states()]
+    if reward is not None:
+        reward.begin(range(len(chosen)), states[0])
+    running = np.ones(len(chosen), dtype=bool)
+    lengths, totals = np.zeros(len(chosen), dtype=int), np.zeros(len(chosen))
+    outcomes = fleet.outcomes.copy()
+    while running.any():
+        outcomes = fleet.step(actor.scaled_action((fleet.observations() - middle) / unit)).copy()
+        states.append(fleet.states())
+        paid = fleet.rewards()
+        if reward is not None:
+            paid = reward.pay(states[-1], outcomes, paid)
+        totals += np.where(running, paid, 0.0)
+        lengths += running
+        running &= outcomes == Outcome.RUNNING
+    ways = np.array(states)
+    return [
+        EvaluatedEpisode(Outcome(outcomes[robot]).name, ways[: lengths[robot] + 1, robot], float(totals[robot]))
+        for robot in range(len(chosen))
+    ]

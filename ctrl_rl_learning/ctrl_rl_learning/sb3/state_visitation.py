@@ -1,0 +1,82 @@
+"""How often learning met which states: the histograms of thesis Fig. 3.7."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io.file_checks import FileError, raise_as
+from ctrl_rl_core.tasks.regions import ANGLES
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, atomic_write, position_indices
+from ctrl_rl_learning.errors import LearningError
+
+FORMAT = "visits-1"
+_HEADER_KEY = "visits"
+PLACES = 50
+"""Bins along each side of what the walls enclose."""
+TURNS = 72
+"""Bins of the angle, from -pi to pi."""
+
+Counts = NDArray[np.uint32]
+
+
+class Visits:
+    """Counts states by place and by angle, iteration by iteration."""
+
+    def __init__(self, task: NavigationTask) -> None:
+        names = task.system.build().state_names
+        self._places = position_indices(names)
+        self._angle = next(index for index, name in enumerate(names) if name in ANGLES)
+        self._edges = [np.linspace(side.low, side.high, PLACES + 1) for side in task.plane_bounds.values()]
+        self._turns = np.linspace(-np.pi, np.pi, TURNS + 1)
+        self._places_met: list[Counts] = []
+        self._turns_met: list[Counts] = []
+        self._met: list[NDArray[np.float64]] = []
+
+    def add(self, states: list[NDArray[np.float64]]) -> None:
+        """Note some states (n,)."""
+        self._met += states
+
+    def end_iteration(self) -> None:
+        """Count what was noted since the last iteration."""
+        states = np.array(self._met).reshape(len(self._met), -1)
+        self._met = []
+        x, y = (states[:, index] if len(states) else np.empty(0) for index in self._places)
+        angles = states[:, self._angle] if len(states) else np.empty(0)
+        self._places_met.append(np.histogram2d(x, y, self._edges)[0].astype(np.uint32))
+        self._turns_met.append(np.histogram(angles, self._turns)[0].astype(np.uint32))
+
+    def counts(self) -> dict[str, Counts]:
+        """Return `places` (iterations, PLACES, PLACES) and `turns` (iterations, TURNS)."""
+        return {
+            "places": np.array(self._places_met, dtype=np.uint32).reshape(-1, PLACES, PLACES),
+            "turns": np.array(self._turns_met, dtype=np.uint32).reshape(-1, TURNS),
+        }
+
+    def with_counts(self, counts: Mapping[str, NDArray[Any]]) -> Self:
+        """Take the counts of earlier iterations and return itself."""
+        self._places_met, self._turns_met = list(counts["places"]), list(counts["turns"])
+        return self
+
+    def save(self, path: Path) -> None:
+        """Write the counts; the file is there whole or not at all."""
+        atomic_write(path, encode_tensors(self.counts(), _HEADER_KEY, {"format": FORMAT}))
+
+
+def load_visits(path: Path) -> dict[str, Counts]:
+    """Return the counts of a file, see `Visits.counts`.
+
+    Raises:
+        LearningError: it is no such file.
+    """
+    with raise_as(LearningError, path):
+        header, counts, _ = read_tensors(path, _HEADER_KEY, largest=None, types=("U32",))
+        shapes = {name: counts[name].shape[1:] for name in sorted(counts)}
+        if header not in ({}, {"format": FORMAT}) or shapes != {"places": (PLACES, PLACES), "turns": (TURNS,)}:
+            raise FileError("holds no counts of visits")
+    return counts

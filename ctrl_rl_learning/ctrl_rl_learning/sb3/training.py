@@ -1,0 +1,232 @@
+"""Learning with Stable-Baselines3: iterations of fresh episodes, an evaluation after each, and the deployed policy.
+
+result = train(run, RunOptions(Path("runs/mine"), 10, 10240, 20, 50))        # run: a `SimulatedRun`
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from ctrl_rl_core import (
+    Actor,
+    NavigationTask,
+    Outcome,
+    PolicyError,
+    PolicyManifest,
+    interface_of,
+    task_digest,
+)
+from ctrl_rl_learning.sb3.algorithms import extract_actor
+from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
+from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
+from ctrl_rl_learning.sb3.state_visitation import Visits
+from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
+
+Tester = Callable[[Actor, int, int], list[EvaluatedEpisode]]
+"""Returns so many episodes of a policy, from a seed and those that follow it."""
+_EVALUATION_SEED = 1_000_000
+
+
+class SimulatedRun(Run):
+    """A run in a simulated task.
+
+    Its folder then holds policy.safetensors (an `Actor`) and visits.safetensors (how often states were met: `Visits`).
+    A point of its curve says samples, episodes and how they ended, success of the evaluation and its mean undiscounted
+    return, and `notes`; its result has `success`, `returns` and how they `ended` (of the last evaluation) and `paths`
+    (states of its first episodes).
+
+    Attributes:
+        seed: Seed of everything random.
+    """
+
+    seed: int
+
+    if TYPE_CHECKING:  # a field of a subclass would take a property for its default
+
+        @property
+        def task(self) -> NavigationTask:
+            """Task to learn."""
+
+    @property
+    @abstractmethod
+    def description(self) -> dict[str, Any]:
+        """Description of the run in its result and its policy, as JSON."""
+
+    @abstractmethod
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the environment with so many physics steps per second [Hz], see `environment.make_environment`."""
+
+    @abstractmethod
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+
+    @contextmanager
+    def tester(self) -> Iterator[Tester]:
+        """Yield how policies are evaluated while learning; the simulation is kept from the first time to the end."""
+        with ExitStack() as opened:
+            kept: list[Environment] = []
+
+            def test(actor: Actor, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+                if episodes and not kept:
+                    kept.append(self.environment())
+                    opened.callback(kept[0].close)
+                return evaluate(actor, kept[0], episodes, seed) if episodes else []
+
+            yield test
+
+    def notes(self, _: BaseAlgorithm, /) -> dict[str, Any]:
+        """Return more figures for a point of the curve, as JSON; called after each iteration."""
+        return {}
+
+    def terms(self, _: RunOptions) -> dict[str, Any]:
+        """Return description and digest of the task."""
+        return {**self.description, "task_digest": task_digest(self.task)}
+
+    def words(self, point: Point) -> float:
+        """Return the success rate of the evaluation."""
+        return float(point["evaluation"])
+
+    @contextmanager
+    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+        """Yield the learner with its environments."""
+        model = self.model(options.samples * options.iterations)
+        try:
+            with self.tester() as test:
+                yield _Learning(self, options, model, test)
+        finally:
+            if model.env is not None:
+                model.env.close()
+
+
+class _Learning:
+    """An algorithm of Stable-Baselines3 as a `Learning`."""
+
+    def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test: Tester) -> None:
+        self._run = run
+        self._options = options
+        self._model = model
+        self._test = test
+        self._visits = Visits(run.task)
+
+    def iterate(self, curve: Sequence[Point], /) -> Point:
+        run, model, options = self._run, self._model, self._options
+        outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
+        actor = extract_actor(model, run.task, {})
+        tested = self._test(actor, options.evaluations, _EVALUATION_SEED)
+        self._visits.end_iteration()
+        return {
+            "samples": model.num_timesteps,
+            "episodes": len(outcomes),
+            "ended": _count(outcomes),
+            "evaluation": _rate([episode.outcome for episode in tested]),
+            "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
+            "notes": run.notes(model),
+        }
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        save_checkpoint(path, self._model, progress, self._visits.counts())
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        progress, arrays = load_checkpoint(path, self._model)
+        self._visits = self._visits.with_counts(arrays)
+        return progress
+
+    def finish(self, folder: Path, /) -> dict[str, Any]:
+        """Evaluate at the rate of the deployed robots, and write policy and visits."""
+        run = self._run
+        manifest = {
+            **run.terms(self._options),
+            "observation": observation_names(run.task),
+            "commands": list(run.task.robot.commands),
+        }
+        actor = extract_actor(self._model, run.task, manifest)
+        episodes = self._deployed_episodes(actor)
+        outcomes = [episode.outcome for episode in episodes]
+        metrics = {"success": _rate(outcomes), "episodes": len(outcomes)}
+        told = replace(actor, manifest={**manifest, "metrics": metrics}, interface=_interface(run.task))
+        told.save(folder / "policy.safetensors")
+        self._visits.save(folder / "visits.safetensors")
+        lasted = [len(episode.states) - 1 for episode in episodes if episode.outcome == SUCCESS]
+        return {
+            "success": metrics["success"],
+            "ended": _count(outcomes),
+            "seconds_to_goal": float(np.mean(lasted)) * run.task.episode.time_step if lasted else None,
+            "returns": [episode.total for episode in episodes],
+            "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
+        }
+
+    def _deployed_episodes(self, actor: Actor) -> list[EvaluatedEpisode]:
+        count = self._options.final_evaluations
+        if not count:
+            return []
+        with closing(self._run.environment(DEPLOYED_RATE)) as environment:
+            return evaluate(actor, environment, count, 2 * _EVALUATION_SEED)
+
+
+def _interface(task: NavigationTask) -> PolicyManifest | None:
+    """Return how a node drives by the policy; None for commands that no node can send."""
+    try:
+        return interface_of(task)
+    except PolicyError:
+        return None
+
+
+def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
+    """Learn from so many samples of fresh episodes and return how those ended that did."""
+    model.set_random_seed(seed)
+    model._last_obs = None  # makes `learn` reset the environments
+    recorder = Recorder(visits)
+    model.learn(samples, callback=recorder, reset_num_timesteps=False)
+    if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
+        # What comes next in the replay is another episode: returns over several steps must end here.
+        last = model.replay_buffer.pos - 1
+        model.replay_buffer.timeouts[last] = np.maximum(
+            model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
+        )
+    return recorder.outcomes
+
+
+class Recorder(BaseCallback):
+    """Notes how episodes end and which states they meet.
+
+    Args:
+        visits: Counter that states are added to, None for none.
+
+    Attributes:
+        outcomes: Outcomes of the episodes that ended.
+    """
+
+    def __init__(self, visits: Visits | None = None) -> None:
+        super().__init__()
+        self.outcomes: list[str] = []
+        self._visits = visits
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        if self._visits is not None:
+            self._visits.add([info["state"] for info in infos])
+        self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
+        return True
+
+
+def _rate(outcomes: list[str]) -> float:
+    return outcomes.count(SUCCESS) / len(outcomes) if outcomes else 0.0
+
+
+def _count(outcomes: list[str]) -> dict[str, int]:
+    return {outcome.name: outcomes.count(outcome.name) for outcome in Outcome if outcome}
+
+
+def _seed_of(seed: int, iteration: int) -> int:
+    return int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]) % 2**31

@@ -1,0 +1,116 @@
+"""Many runs at a time, in processes or on a Ray cluster; they may be cut off at any time.
+
+results = run_experiments(runs, RunOptions(Path("runs/mine"), 10, 10240))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from queue import Empty
+from typing import Any
+
+from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
+from ctrl_rl_core.processes.workers import CONTEXT
+from tqdm import tqdm
+
+from ctrl_rl_core import exclusive_lock, map_in_processes
+from ctrl_rl_learning.study.run import Run, RunOptions
+from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.study.trainer import train
+
+
+def run_experiments(
+    runs: Sequence[Run], options: RunOptions, workers: int = 0, title: str = "training", ray: str | None = None
+) -> list[dict[str, Any]]:
+    """Run what is not finished yet and return the results of all.
+
+    After a kill the same call goes on: it loses at most the iteration that each worker was in.
+
+    Args:
+        runs: Runs in the order in which they begin.
+        options: Settings that all runs share.
+        workers: Runs at a time; 0 for one for each core, here or in the cluster.
+        title: Title of the progress bar and name of the lock that keeps a second call out of the folder.
+        ray: Address of a Ray cluster whose workers train, "auto" for this machine's; processes of this machine unless
+            given.
+
+    Raises:
+        LockError: Another call works in the folder.
+        CtrlRlError: A run refuses, or a worker was killed.
+    """
+    if ray is not None:
+        require_ray()
+    # What is finished is read first: what does not fit is refused now, not after hours of the others.
+    known = {run.name: train(run, options) for run in runs if result_file(options.folder, run).is_file()}
+    todo = [run for run in runs if run.name not in known]
+    options.folder.mkdir(parents=True, exist_ok=True)
+    with exclusive_lock(options.folder / f".{title}.lock"):
+        if todo:
+            with tqdm(total=len(todo) * options.iterations, desc=title, unit="iteration", mininterval=5.0) as bar:
+                show = _Progress(bar)
+                if ray is None:
+                    _in_processes(todo, options, workers, show)
+                else:
+                    work = partial(_train_there, options=options)
+                    for _ in map_in_ray(ray, work, todo, options.folder, lambda run: run.name, workers, show):
+                        pass
+        known |= {run.name: train(run, options) for run in todo}
+    return [known[run.name] for run in runs]
+
+
+class _Progress:
+    """Shows reports, each a run's name, the iterations done, and a success rate or words."""
+
+    def __init__(self, bar: tqdm[Any]) -> None:
+        self._bar = bar
+        self._done: dict[str, int] = {}
+
+    def __call__(self, report: tuple[str, int, float | str]) -> None:
+        name, done, how = report
+        before, left = self._done.get(name, 0), int(self._bar.total or 0) - self._bar.n
+        new = min(max(done - before, 0), left)
+        if name not in self._done and done > 1:  # it goes on from a checkpoint: what was done before sets no pace
+            self._bar.initial += new
+            self._bar.last_print_n += new
+            self._bar.n += new
+        else:
+            self._bar.update(new)
+        self._done[name] = done
+        self._bar.set_postfix_str(f"{name} {done}: {how if isinstance(how, str) else f'{100 * how:.0f} %'}")
+
+
+def _in_processes(todo: Sequence[Run], options: RunOptions, workers: int, show: _Progress) -> None:
+    reports: Any = CONTEXT.Queue()
+
+    def show_all() -> None:
+        for report in _waiting(reports):
+            show(report)
+
+    for _ in map_in_processes(partial(_train, options=options), todo, workers, _begin_worker, (reports,), show_all):
+        show_all()
+
+
+def _waiting(reports: Any) -> Iterator[Any]:
+    while True:
+        try:
+            yield reports.get_nowait()
+        except Empty:
+            return
+
+
+_worker: dict[str, Any] = {}
+
+
+def _begin_worker(reports: Any) -> None:
+    _worker["reports"] = reports
+
+
+def _train(run: Run, options: RunOptions) -> None:
+    train(run, options, lambda run, done, how: _worker["reports"].put((run.name, done, how)))
+
+
+def _train_there(run: Run, folder: Path, tell: Tell, options: RunOptions) -> None:
+    train(run, replace(options, folder=folder), lambda run, done, how: tell((run.name, done, how)))

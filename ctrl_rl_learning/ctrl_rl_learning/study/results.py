@@ -1,0 +1,163 @@
+"""Tables of finished runs, from the metrics that a package declares, and curves to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from ctrl_rl_core.io.checked_json import read_json
+from ctrl_rl_core.io.file_checks import FileError, raise_as
+
+from ctrl_rl_core import Result, ResultsError
+from ctrl_rl_learning.study.figure_data import Figures
+from ctrl_rl_learning.study.run import Run
+from ctrl_rl_learning.study.run_folder import read_result, result_file
+
+AnyRun = TypeVar("AnyRun", bound=Run)
+Finished = dict[str, list[tuple[AnyRun, dict[str, Any]]]]
+"""Runs and their results by method."""
+GOOD = 0.9
+"""Success that counts as learnt (thesis 3.2.3)."""
+
+
+def finished_runs(runs: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]) -> Finished[AnyRun]:
+    """Return the runs that are finished and their results (see `trainer.train`), by method."""
+    out: Finished[AnyRun] = {}
+    for run in runs:
+        file = result_file(folder, run)
+        if file.is_file():
+            out.setdefault(label(run), []).append((run, read_result(file)))
+    return out
+
+
+def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", least: float = GOOD) -> float | None:
+    """Return after how many samples what `key` names first was enough and the next was too; None if it never was."""
+    good = [point[key] >= least for point in curve]
+    for index, point in enumerate(curve):
+        if good[index] and (index + 1 == len(curve) or good[index + 1]):
+            return float(point["samples"])
+    return None
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of a table.
+
+    Attributes:
+        name: Name of the metric.
+        unit: Its unit, "1" for none.
+        values: Returns its values for the results of a method's seeds, usually one for each.
+    """
+
+    name: str
+    unit: str
+    values: Callable[[Sequence[Mapping[str, Any]]], list[float]]
+
+
+def metric(name: str, unit: str, value: Callable[[Mapping[str, Any]], float]) -> Metric:
+    """Return a metric with one value for each seed."""
+    return Metric(name, unit, lambda results: [float(value(result)) for result in results])
+
+
+def metrics_of_speed(
+    key: str = "evaluation", least: float = GOOD, words: str = f"{GOOD:.0%}", more: str = ""
+) -> list[Metric]:
+    """Return how many seeds reach a level of the curve's figure `key`, and after how many samples; see `samples_to`.
+
+    Args:
+        key: Name of the figure in the curve.
+        least: Level that counts as reached.
+        words: The level, as the metrics' names say it.
+        more: Ends the name of the first metric.
+    """
+
+    def reached(results: Sequence[Mapping[str, Any]]) -> list[float]:
+        return [samples for each in results if (samples := samples_to(each["curve"], key, least)) is not None]
+
+    return [
+        Metric(f"seeds that reach {words}{more}", "1", lambda results: [float(len(reached(results)))]),
+        Metric(f"samples to {words}", "1", reached),
+    ]
+
+
+def collect_rows(
+    finished: Finished[AnyRun],
+    metrics: Sequence[Metric],
+    reference: Callable[[AnyRun, str], float | None] = lambda *_: None,
+) -> list[Result]:
+    """Return a row for each method and metric, but for those without a value.
+
+    Args:
+        finished: Runs and results by method.
+        metrics: Columns of the table.
+        reference: Returns the thesis's figure for a run's method and a metric's name, None where it gives none.
+    """
+    return [
+        Result(method, metric.name, metric.unit, values, reference(runs[0][0], metric.name))
+        for method, runs in finished.items()
+        for metric in metrics
+        if (values := metric.values([result for _, result in runs]))
+    ]
+
+
+def curves_of(finished: Finished[AnyRun], **names: str) -> dict[str, dict[str, list[Any]]]:
+    """Return the `curves` of each method."""
+    return {method: curves([result for _, result in runs], **names) for method, runs in finished.items()}
+
+
+def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list[Any]]:
+    """Return `samples` (iterations,) and, for each keyword, what the curves call by its value (seeds, iterations)."""
+    length = min(len(result["curve"]) for result in results)
+    out: dict[str, list[Any]] = {"samples": [point["samples"] for point in results[0]["curve"][:length]]}
+    for name, key in names.items():
+        out[name] = [[point[key] for point in result["curve"][:length]] for result in results]
+    return out
+
+
+def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
+    """Return rows as text: mean and standard deviation over the seeds, and the thesis's figure.
+
+    Args:
+        rows: Rows of the table.
+        labels: Labels of the methods whose own name does not say enough.
+    """
+    head = ("method", "metric", "ours", "thesis")
+    lines = [head, *(_cells(row, labels.get(row.method, row.method)) for row in rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
+    return "\n".join(
+        f"{method:<{widths[0]}}   {metric:<{widths[1]}}   {ours:>{widths[2]}}   {thesis}".rstrip()
+        for method, metric, ours, thesis in lines
+    )
+
+
+def _cells(row: Result, label: str) -> tuple[str, str, str, str]:
+    ours = f"{np.mean(row.values):.4g} ± {np.std(row.values):.2g}"
+    return label, row.metric, ours, "" if row.thesis is None else f"{row.thesis:g}"
+
+
+def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
+    """Return the figures' data of a results file.
+
+    Args:
+        file: Results file that `train --results` wrote.
+        kind: Schema of the data.
+
+    Raises:
+        ResultsError: there is no such file, or it holds something else.
+    """
+    other = "is not a file that `train --results` wrote"
+    with raise_as(ResultsError, file):
+        content = read_json(file)
+        figures = content.get("figures") if isinstance(content, dict) else None
+        if not isinstance(figures, dict):
+            if isinstance(content, dict) and "rows" in content:
+                raise FileError("holds a table without curves: there is nothing to draw")
+            raise FileError(f"{other}: give one of those")
+        lacking = [name for name, field in kind.model_fields.items() if field.is_required() and name not in figures]
+        if lacking:
+            advice = "give one that `train` of the same package wrote"
+            raise FileError(f"{other}, it lacks {', '.join(lacking)}: {advice}")
+        return kind.model_validate(figures).model_dump(exclude_unset=True)

@@ -1,0 +1,1 @@
+"""Replay, and the state of networks and optimisers as files."""

@@ -1,0 +1,56 @@
+"""Teaching: the teacher passes the doorways, a pupil learns from its own drives, and a run goes on where it was."""
+
+import numpy as np
+from ctrl_rl_learning.cli.teach import teach
+from ctrl_rl_learning.dagger import run as teaching_run
+from ctrl_rl_learning.dagger.episode import DaggerEpisode, corridor_interface
+from ctrl_rl_learning.dagger.run import Lessons, TaughtRun
+from ctrl_rl_learning.study.run import RunOptions
+
+from ctrl_rl_core import Outcome, load_navigation_task, load_policy
+
+TASK = load_navigation_task("corridor_doorways")
+INTERFACE = corridor_interface(TASK)
+
+
+def test_the_teacher_passes_four_doorways():
+    lesson = DaggerEpisode(TASK, INTERFACE, 3)
+    moments = list(lesson.drive(None))
+    assert lesson.outcome is Outcome.GOAL
+    assert len(moments) > 100
+    assert all(each.observation.shape == (INTERFACE.size,) for each in moments)
+    wanted = np.array([each.wanted for each in moments])
+    low, high = INTERFACE.action.low, INTERFACE.action.high
+    assert ((wanted >= low) & (wanted <= high)).all()
+
+
+def test_a_pupil_that_drives_is_told_what_the_teacher_would_do():
+    lesson = DaggerEpisode(TASK, INTERFACE, 0)
+    moments = list(lesson.drive(lambda _: np.array((0.2, 0.0))))
+    assert lesson.outcome is not Outcome.GOAL
+    assert any(abs(each.wanted[1]) > 0.1 for each in moments)
+
+
+def test_a_run_goes_on_from_its_checkpoint_as_if_it_had_not_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(teaching_run, "_UPDATES", 20)
+    monkeypatch.setattr(teaching_run, "_LAST_UPDATES", 20)
+    options = RunOptions(tmp_path, 2, 40, 0, 1)
+    run = TaughtRun("corridor_doorways", 0)
+    with run.begin(options, lambda *_: None) as whole:
+        curve = [whole.iterate([])]
+        whole.save(tmp_path / "checkpoint", {"curve": curve})
+        point = whole.iterate(curve)
+    later = Lessons(TASK, 0, options)
+    assert later.load(tmp_path / "checkpoint") == {"curve": curve}
+    assert later.iterate(curve) == point
+    figures = later.finish(tmp_path)
+    assert set(figures) == {"success", "collisions", "loss"}
+    policy = load_policy(tmp_path / "policy.safetensors")
+    assert policy.period is None
+    assert policy.needs == frozenset()
+
+
+def test_a_task_without_a_corridor_is_refused_in_one_line(capsys, tmp_path):
+    assert teach(["--task", "car_ttr", "--folder", str(tmp_path)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "task 'car_ttr' has no corridor" in line

@@ -1,1 +1,0 @@
-"""Drive, record, relabel, learn, evaluate, and drive again."""

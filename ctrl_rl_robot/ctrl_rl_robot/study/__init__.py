@@ -1,1 +1,0 @@
-"""The study of a robot that is not the one a policy was learnt on."""

@@ -1,1 +1,0 @@
-"""Runs of every method: training loop, checkpoints, many at a time, results."""

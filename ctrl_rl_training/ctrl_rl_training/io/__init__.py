@@ -1,1 +1,0 @@
-"""Files of learnt actors, arrays and learner states."""

@@ -1,0 +1,115 @@
+"""Worlds of BARN and DynaBARN: SDF files with upright cylinders and boxes, and the plugins that move some of them."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from ctrl_rl_core.io.file_checks import FileError, as_text, raise_as, read_bytes
+
+from ctrl_rl_core import Box, Disc
+from ctrl_rl_trials.errors import TrialError
+
+_LARGEST = 20e6
+_FARTHEST = 1000.0
+_MOST = 10_000
+_UNQUOTED = re.compile(r"<pose frame=\s*>")
+"""DynaBARN's worlds write it so, which Gazebo's reader lets pass and XML does not."""
+_PLUGIN = re.compile(r"[A-Za-z0-9_]+\.so")
+
+
+@dataclass(frozen=True)
+class MovingCylinder:
+    """An obstacle that a plugin moves.
+
+    Attributes:
+        plugin: File name of the plugin.
+        radius: Radius of the cylinder [m].
+    """
+
+    plugin: str
+    radius: float
+
+
+@dataclass(frozen=True)
+class WorldFile:
+    """What stands in a world, and what moves.
+
+    Attributes:
+        cylinders: Upright cylinders, as discs.
+        boxes: Upright boxes, in the order of the file.
+        moving: Cylinders that plugins move.
+    """
+
+    cylinders: tuple[Disc, ...]
+    boxes: tuple[Box, ...]
+    moving: tuple[MovingCylinder, ...]
+
+
+def read_world(path: Path) -> WorldFile:
+    """Read a world.
+
+    Raises:
+        TrialError: The file is missing, is no SDF world, or has a model that is neither of these.
+    """
+    with raise_as(TrialError, path):
+        text = as_text(read_bytes(path, _LARGEST))
+        if "<!" in text.replace("<!--", ""):
+            raise FileError("declares entities or a document type, which a world needs not")
+        try:
+            root = ET.fromstring(_UNQUOTED.sub("<pose>", text))
+        except ET.ParseError as error:
+            raise FileError(f"is no XML: {error}") from None
+        models = root.findall("world/model")
+        if root.tag != "sdf" or not models:
+            raise FileError("is no SDF world with models")
+        if len(models) > _MOST:
+            raise FileError(f"has {len(models)} models: at most {_MOST} make sense")
+        cylinders: list[Disc] = []
+        boxes: list[Box] = []
+        moving: list[MovingCylinder] = []
+        for model in models:
+            _add(model, cylinders, boxes, moving)
+        return WorldFile(tuple(cylinders), tuple(boxes), tuple(moving))
+
+
+def _add(model: ET.Element, cylinders: list[Disc], boxes: list[Box], moving: list[MovingCylinder]) -> None:
+    name = model.get("name", "")
+    shapes = model.findall("link/collision/geometry/*")
+    if [shape.tag for shape in shapes] == ["plane"]:
+        return
+    if len(shapes) != 1 or shapes[0].tag not in ("cylinder", "box"):
+        raise FileError(f"model '{name}': has no single cylinder or box to collide with")
+    (shape,) = shapes
+    plugin = model.find("plugin")
+    x, y, _, roll, pitch, yaw = _numbers(model.find("pose"), 6, name) if model.find("pose") is not None else (0.0,) * 6
+    if roll or pitch:
+        raise FileError(f"model '{name}': leans, and only upright ones are read")
+    if shape.tag == "box":
+        width, depth, _ = _numbers(shape.find("size"), 3, name, positive=True)
+        boxes.append(Box((x, y), (width, depth), yaw))
+        return
+    (radius,) = _numbers(shape.find("radius"), 1, name, positive=True)
+    if plugin is None:
+        cylinders.append(Disc((x, y), radius))
+        return
+    file = plugin.get("filename", "")
+    if not _PLUGIN.fullmatch(file):
+        raise FileError(f"model '{name}': its plugin must be a file name that ends in .so")
+    moving.append(MovingCylinder(file, radius))
+
+
+def _numbers(element: ET.Element | None, count: int, name: str, positive: bool = False) -> tuple[float, ...]:
+    words = (element.text or "").split() if element is not None else []
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        values = ()
+    fine = all(math.isfinite(value) and abs(value) <= _FARTHEST and (value > 0.0 or not positive) for value in values)
+    if len(values) != count or not fine:
+        what = "pose" if element is None else element.tag
+        raise FileError(f"model '{name}': its {what} must be {count} {'positive ' if positive else ''}numbers")
+    return values

@@ -1,0 +1,107 @@
+"""The commands `train` and `plot`: the whole ladder, each way with the same networks, samples and seeds."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite
+from ctrl_rl_learning.study.command import (
+    ITERATION,
+    ExperimentOptions,
+    PlotOptions,
+    Positive,
+    make_command,
+    one_of,
+    some_of,
+)
+from ctrl_rl_learning.study.run import RunOptions
+
+from ctrl_rl_trials.ladder.task_list import LADDER, load_ladder_task
+from ctrl_rl_trials.shaping.variants import BY_DEFAULT, LEARNERS, WAYS
+
+_EVALUATIONS, _FINAL_EVALUATIONS = 20, 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(ExperimentOptions):
+    """Learn tasks in each way that a value can be used, from several seeds; go on where an earlier call was cut off.
+
+    Policies are learnt in the planar engine and checked in PyBullet. Interrupted with Ctrl-C, it still prints the table
+    of the runs that are finished and writes its results.
+    """
+
+    folder: FolderToWrite = Path("runs/ladder")
+    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    samples: Positive = 10 * ITERATION
+    """Samples of a run; whole iterations of 10240 are done."""
+    tasks: tuple[str, ...] = LADDER
+    """Tasks: names of the ladder, of the suite, or task files."""
+    ways: Annotated[tuple[str, ...], some_of(WAYS)] = BY_DEFAULT
+    """Ways to use the time to reach, or to do without; best_progress_mpc solves trajectories first, minutes a task."""
+    learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
+    """Learners."""
+    results: OptionalFileToWrite = None
+    """JSON file to write table and curves to; what it holds about other methods stays."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plot(PlotOptions):
+    """Draw success over samples on each task, from the results that `train` wrote."""
+
+    learner: Annotated[str, one_of(LEARNERS)] = "ppo"
+    """Learner whose runs are drawn."""
+
+
+def _train(options: Train) -> int:
+    tasks = {name: load_ladder_task(name) for name in options.tasks or LADDER}
+    # Torch takes seconds to import: not before the arguments are right.
+    from ctrl_rl_learning.study.matrix import run_experiments
+
+    from ctrl_rl_trials.ladder.results import as_table, collect, read_curves, write
+    from ctrl_rl_trials.ladder.runs import ladder_runs
+    from ctrl_rl_trials.shaping.time_to_go import find_or_solve_trajectories
+    from ttr_reward_node import find_or_solve
+
+    def tell(line: str) -> None:
+        print(line)
+
+    if options.results is not None:
+        read_curves(options.results)  # A file that cannot be kept is an error now, not after days.
+    values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
+    ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS
+    workers = options.workers or os.cpu_count() or 1
+    mpc_values = {
+        name: find_or_solve_trajectories(task, options.folder / "values", workers)
+        for name, task in tasks.items()
+        if any(WAYS[way].needs_mpc for way in ways)
+    }
+    runs = ladder_runs(list(tasks), ways, learners, options.seeds, values, mpc_values)
+    how = RunOptions(options.folder, -(-options.samples // ITERATION), ITERATION, _EVALUATIONS, _FINAL_EVALUATIONS)
+    try:
+        run_experiments(runs, how, options.workers, "ladder", options.ray)
+    finally:
+        rows, curves = collect(runs, options.folder)
+        if rows:
+            print(as_table(rows))
+        if rows and options.results is not None:
+            write(options.results, options.seeds, rows, curves)
+            print(f"results    {options.results}")
+    return 0
+
+
+def _plot(options: Plot) -> int:
+    from ctrl_rl_learning.study.results import read_figures
+
+    from ctrl_rl_trials.ladder.plots import draw_ladder
+    from ctrl_rl_trials.ladder.results import LadderFigures
+
+    for picture in draw_ladder(read_figures(options.results, LadderFigures), options.learner, options.output):
+        print(f"picture    {picture}")
+    return 0
+
+
+train = make_command("train", Train, _train)
+plot = make_command("plot", Plot, _plot)

@@ -1,0 +1,186 @@
+"""The runs of the ladder: a task, a way, a learner, a seed; learnt in the planar engine, checked in PyBullet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from ctrl_rl_learning.sb3.algorithms import make_algorithm, number_of_environments
+from ctrl_rl_learning.sb3.environment import Environment, make_environment
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
+from ctrl_rl_learning.sb3.training import SimulatedRun, Tester
+from ctrl_rl_learning.study.run import find_method
+from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
+from stable_baselines3.common.base_class import BaseAlgorithm
+from ttr_reward_node.rewards.progress import PAYS, PER_SECOND, Potential, PotentialReward, TimeToReach
+
+from ctrl_rl_core import NavigationTask
+from ctrl_rl_trials.errors import TrialError
+from ctrl_rl_trials.ladder.task_list import load_ladder_task
+from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, fit_critic
+from ctrl_rl_trials.shaping.demonstrations import demonstrate, teach
+from ctrl_rl_trials.shaping.potential import DistanceInSeconds
+from ctrl_rl_trials.shaping.reward_shaping import StateReward
+from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
+from ctrl_rl_trials.shaping.time_to_go import TimeToGo
+from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Way
+from ttr_reward_node import load_value, make_reward
+
+
+@dataclass(frozen=True)
+class LadderRun(SimulatedRun):
+    """A run of the ladder.
+
+    Attributes:
+        task_name: Name of the task, or its file.
+        way_name: One of `WAYS`.
+        learner: One of `LEARNERS`.
+        seed: Seed of everything random.
+        value: File of the task's time to reach, or folder of MPC's trajectories for a way that asks them.
+    """
+
+    task_name: str
+    way_name: str
+    learner: str
+    seed: int
+    value: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the run and of its folder."""
+        return f"{self.task.name}-{self.way_name}-{self.learner}-s{self.seed}"
+
+    @property
+    def method(self) -> str:
+        """Name of the method in the table."""
+        return f"{self.task.name}: {self.way_name}, {self.learner}"
+
+    @property
+    def way(self) -> Way:
+        """The way.
+
+        Raises:
+            TrialError: There is no such way.
+        """
+        way: Way = find_method(WAYS, self.way_name, TrialError)
+        return way
+
+    @property
+    def task(self) -> NavigationTask:
+        """The task."""
+        return load_ladder_task(self.task_name)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Description of the run in its result."""
+        return {
+            "task": self.task.name,
+            "way": self.way_name,
+            "learner": self.learner,
+            "seed": self.seed,
+            "value_digest": self._value_digest(),
+        }
+
+    def _value_digest(self) -> str | None:
+        if self.way.needs_mpc:
+            return TimeToGo(self.value, self.task).digest
+        return load_value(self.value).digest if self.way.needs_value else None
+
+    def environment(self, rate: int | None = None) -> Environment:
+        """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
+        return make_environment(self.task, rate)
+
+    @contextmanager
+    def tester(self) -> Iterator[Tester]:
+        """Yield how policies are evaluated while learning: side by side in the planar engine."""
+        yield lambda actor, episodes, seed: evaluate_in_fleet(
+            actor, self.task, range(seed, seed + episodes), self._reward(episodes)
+        )
+
+    def _reward(self, robots: int) -> FleetReward | None:
+        way, task = self.way, self.task
+        if way.reward == "none":
+            return None
+        if way.reward in ("distance", "ttr"):
+            names = {"distance": "distance_0", "ttr": "ttr"}
+            return StateReward(
+                make_reward(names[way.reward], task, load_value(self.value) if way.reward == "ttr" else None)
+            )
+        potential = self._potential()
+        return PotentialReward(potential, PAYS[way.reward](potential.longest, PER_SECOND, GAMMA), robots)
+
+    def _potential(self) -> Potential:
+        if self.way.of == "distance":
+            return DistanceInSeconds(self.task)
+        return TimeToGo(self.value, self.task) if self.way.needs_mpc else TimeToReach(load_value(self.value))
+
+    def _environments(self) -> FleetEnvironments:
+        robots = number_of_environments(self.learner)
+        starts = None
+        if self.way.starts == "grow":
+            states, times = _levels(self.task_name, self.value)
+            starts = GrowingStarts(states, times, robots)
+        return FleetEnvironments(self.task, robots, self._reward(robots), starts)
+
+    def model(self, samples: int) -> BaseAlgorithm:
+        """Return the untrained algorithm with its own environments, for so many samples."""
+        way = self.way
+        changes: dict[str, Any] = {"gamma": GAMMA}
+        if self.learner == "ppo":
+            changes["gae_lambda"] = way.gae_lambda
+        baseline = None
+        if way.baseline != "learnt":
+            baseline = TimeToReachBaseline(TimeToReach(load_value(self.value)), self.task, GAMMA)
+        if way.baseline == "frozen":
+            changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": baseline}, "vf_coef": 0.0}
+        elif way.baseline == "corrected":
+            changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": baseline}}
+        model = make_algorithm(self.learner, self._environments(), self.seed, samples, **changes)
+        if way.baseline == "begins" and baseline is not None:
+            fit_critic(model, baseline, self.seed)
+        if way.demonstrations:
+            potential = TimeToReach(load_value(self.value))
+            seen, done = demonstrate(self._environments(), self.task, potential, self.seed)
+            teach(model, seen, done, self.seed)
+            model.num_timesteps += len(seen)
+        return model
+
+
+def ladder_runs(
+    tasks: Sequence[str],
+    ways: Sequence[str],
+    learners: Sequence[str],
+    seeds: int,
+    values: Mapping[str, Path],
+    mpc_values: Mapping[str, Path] = MappingProxyType({}),
+) -> list[LadderRun]:
+    """Return all runs, those that tell most first: the main ways by PPO, then by the other learners, then the rest.
+
+    Args:
+        tasks: Names of tasks, or their files.
+        ways: Names of ways.
+        learners: Names of learners.
+        seeds: Number of seeds.
+        values: File of each task's time to reach.
+        mpc_values: Folder of MPC's trajectories of each task, for the ways that ask them.
+    """
+    ordered = sorted(ways, key=list(WAYS).index)
+    return [
+        LadderRun(task, way, learner, seed, (mpc_values if WAYS[way].needs_mpc else values)[task])
+        for main in (True, False)
+        for learner in learners
+        for seed in range(seeds)
+        for way in ordered
+        for task in tasks
+        if learner in WAYS[way].learners and (way in MAIN) == main
+    ]
+
+
+@lru_cache(maxsize=2)
+def _levels(task_name: str, value: Path) -> Any:
+    return levels(load_ladder_task(task_name), TimeToReach(load_value(value)))

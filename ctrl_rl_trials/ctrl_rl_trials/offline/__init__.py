@@ -1,0 +1,1 @@
+"""Closed loops from bags: drive, learn, evaluate, drive again."""

@@ -1,0 +1,175 @@
+"""The closed loop: drive, record, relabel, learn from bags alone, evaluate offline, drive again, compare.
+
+Round 0 is a scripted driver. Each later round learns from the bags of all rounds before, and records drives of the new
+policy with some noise. A run goes on where it was cut off: what a finished step wrote is not made again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import numpy as np
+from ctrl_rl_core.io.checked_json import read_json, with_digest
+from ctrl_rl_core.policies.policy import load_policy
+from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
+from ctrl_rl_learning.offline.data.values import (
+    TIME_TO_REACH,
+    StateValues,
+    clearance_of,
+    find_time_to_reach,
+    load_values,
+)
+from ctrl_rl_learning.offline.driving.drivers import Driver, PolicyDriver, ScriptedDriver
+from ctrl_rl_learning.offline.driving.driving import drive
+from ctrl_rl_learning.offline.evaluation.report import evaluate_offline
+from ctrl_rl_learning.offline.learners.learning import learn
+from ctrl_rl_learning.offline.learners.settings import LearningSettings
+
+from ctrl_rl_core import Actor, NavigationTask, atomic_write
+from ttr_reward_node import RewardEvaluator, load_value, relabel
+
+DISCOUNT = 0.99
+_TEST_SEED = 1_000_000
+_SEEDS_APART = 10_000
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of a loop.
+
+    Attributes:
+        method: Way of learning, one of `METHODS`.
+        rounds: Number of rounds after the scripted driver's.
+        episodes: Number of recorded episodes of each round.
+        tests: Number of episodes that success is counted in.
+        updates: Number of updates of the networks.
+        noise: Noise of the recorded drives, see `PolicyDriver`.
+        engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
+        seed: Seed of everything random.
+        fit_updates: Number of updates of the offline evaluation.
+        clearance: Room to obstacles that the value which teaches keeps [m]; None for half the body's radius.
+    """
+
+    method: str
+    rounds: int = 3
+    episodes: int = 150
+    tests: int = 100
+    updates: int = 5000
+    noise: float = 0.25
+    engine: str = "planar"
+    seed: int = 0
+    fit_updates: int = 500
+    clearance: float | None = None
+
+
+def run_loop(
+    task: NavigationTask, folder: Path, settings: LoopSettings, values_folder: Path, tell: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """Return what each round came to, as JSON: success and return as driven, and what the bags said before.
+
+    Args:
+        task: Task of a robot on wheels with a time to reach.
+        folder: Folder of the run.
+        settings: Settings of the loop.
+        values_folder: Folder of times to reach, solved where they are not there yet.
+        tell: Takes a line about each round.
+
+    Raises:
+        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
+    """
+    function = load_value(find_time_to_reach(task, values_folder))
+    values = load_values(TIME_TO_REACH, task, values_folder, clearance_of(task, settings.clearance))
+    evaluator = RewardEvaluator(task, function)
+    bags: list[Path] = []
+    rounds: list[dict[str, Any]] = []
+    for number in range(settings.rounds + 1):
+        here = folder / f"round_{number}"
+        here.mkdir(parents=True, exist_ok=True)
+        done = here / "result.json"
+        labelled = here / "labelled"
+        if not done.exists():
+            result: dict[str, Any] = {"round": number}
+            driver, tester = _drivers(task, here, bags, settings, values, number, result)
+            seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
+            _record(task, driver, settings, here, labelled, seed, lambda: (function, evaluator))
+            tested = drive(
+                task, tester, settings.tests, _TEST_SEED + _SEEDS_APART * settings.seed, engine=settings.engine
+            )
+            result |= {
+                "success": tested.success.tolist(),
+                "returns": tested.returns(DISCOUNT).tolist(),
+                "outcomes": np.bincount(tested.outcomes, minlength=5).tolist(),
+            }
+            atomic_write(done, json.dumps(with_digest(result)))
+        bags.append(labelled)
+        rounds.append(read_json(done))
+        tell(f"round {number}: success {np.mean(rounds[-1]['success']):.2f}{_told(rounds[-1])}")
+    return rounds
+
+
+def _drivers(
+    task: NavigationTask,
+    here: Path,
+    bags: list[Path],
+    settings: LoopSettings,
+    values: StateValues,
+    number: int,
+    result: dict[str, Any],
+) -> tuple[Driver, Driver]:
+    """Return the driver whose drives are recorded and the one whose success is counted."""
+    if not bags:
+        return ScriptedDriver(task), ScriptedDriver(task)
+    file = here / "policy.safetensors"
+    transitions = load_transitions(bags, task)
+    if not file.exists():
+        how = LearningSettings(settings.method, updates=settings.updates, seed=settings.seed + 100 * number)
+        learn(transitions, task, how, values, {"round": number}).save(file)
+    result |= _predict(transitions, task, file, values, settings)
+    policy = load_policy(file)
+    return PolicyDriver(policy, settings.noise), PolicyDriver(policy)
+
+
+def _predict(
+    transitions: Transitions, task: NavigationTask, file: Path, values: StateValues, settings: LoopSettings
+) -> dict[str, Any]:
+    """Return what the bags say about a policy before it drives: against the driver of the last round."""
+    report = evaluate_offline(
+        transitions, task, Actor.load(file), values, discount=DISCOUNT, updates=settings.fit_updates, fits=2
+    )
+    return {
+        "predicted": vars(report.recommended),
+        "doubly_robust": vars(report.doubly_robust),
+        "gain": vars(report.gain),
+        "better": report.better,
+    }
+
+
+def _record(
+    task: NavigationTask,
+    driver: Driver,
+    settings: LoopSettings,
+    here: Path,
+    labelled: Path,
+    seed: int,
+    reward: Callable[[], tuple[Any, Any]],
+) -> None:
+    """Record drives and relabel them."""
+    bag = here / "bag"
+    for left in (bag, labelled):  # of a call that was cut off
+        if left.exists():
+            rmtree(left)
+    drive(task, driver, settings.episodes, seed, bag, settings.engine)
+    function, evaluator = reward()
+    relabel(bag, labelled, function, evaluator)
+
+
+def _told(result: dict[str, Any]) -> str:
+    if "predicted" not in result:
+        return ", the scripted driver"
+    word = "better" if result["better"] else "not shown to be better"
+    return f", predicted return {result['predicted']['mean']:.0f}, driven {np.mean(result['returns']):.0f}: {word}"

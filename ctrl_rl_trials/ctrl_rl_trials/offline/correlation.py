@@ -1,0 +1,243 @@
+"""How well predictions from bags agree with what policies then earn: many policies, learnt well and badly.
+
+The policies learn from the bags of one seed. Each seed has bags of its own, from which all policies are predicted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Any, NamedTuple
+
+import numpy as np
+from ctrl_rl_core.io.checked_json import read_json, with_digest
+from ctrl_rl_core.policies.policy import load_policy
+from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
+from ctrl_rl_learning.offline.data.values import OC_VALUE, TIME_TO_REACH, StateValues, find_time_to_reach, load_values
+from ctrl_rl_learning.offline.driving.drivers import PolicyDriver, ScriptedDriver
+from ctrl_rl_learning.offline.driving.driving import drive
+from ctrl_rl_learning.offline.evaluation.report import evaluate_offline
+from ctrl_rl_learning.offline.evaluation.roll_outs import correlation
+from ctrl_rl_learning.offline.learners.learning import learn
+from ctrl_rl_learning.offline.learners.settings import LearningSettings
+from numpy.typing import NDArray
+
+from ctrl_rl_core import Actor, NavigationTask, atomic_write
+from ctrl_rl_trials.offline.closed_loop import DISCOUNT
+from ttr_reward_node import RewardEvaluator, load_value, relabel
+
+Array = NDArray[np.float64]
+ESTIMATES = frozenset({"fitted_q", "doubly_robust", "time_lost", "model", "recommended"})
+_TEST_SEED = 2_000_000
+_SEEDS_APART = 10_000
+_RESAMPLED = 2000
+_TOLD = ("replayed", "better", "driver")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy to be learnt: method, updates, value function, and temperature of the weights."""
+
+    method: str
+    updates: int
+    value: str | None = None
+    temperature: float = 0.4
+
+    @property
+    def name(self) -> str:
+        """Name of its file."""
+        return "-".join(filter(None, (self.method, self.value, str(self.updates), str(self.temperature))))
+
+
+CANDIDATES = (
+    Candidate("bc", 20),
+    Candidate("bc", 100),
+    Candidate("bc", 500),
+    Candidate("bc", 3000),
+    Candidate("value_weight", 100, TIME_TO_REACH),
+    Candidate("value_weight", 3000, TIME_TO_REACH),
+    Candidate("value_weight", 1000, TIME_TO_REACH, 1.0),
+    Candidate("value_weight", 3000, OC_VALUE),
+    Candidate("value_model", 100, TIME_TO_REACH, 0.2),
+    Candidate("value_model", 3000, TIME_TO_REACH, 0.2),
+    Candidate("value_model", 3000, TIME_TO_REACH, 1.0),
+    Candidate("value_critic", 300, TIME_TO_REACH),
+    Candidate("value_critic", 1500, TIME_TO_REACH),
+    Candidate("value_critic", 1000, OC_VALUE),
+    Candidate("iql", 300),
+    Candidate("iql", 2000),
+    Candidate("td3bc", 300),
+    Candidate("td3bc", 1500),
+)
+
+
+@dataclass(frozen=True)
+class CorrelationSettings:
+    """Settings of the comparison.
+
+    Attributes:
+        seeds: Number of seeds.
+        episodes: Number of episodes of each seed's bag.
+        tests: Number of episodes that a policy drives.
+        fit_updates: Number of updates of the offline evaluation.
+        fits: Number of its fits.
+        engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
+    """
+
+    seeds: int = 5
+    episodes: int = 150
+    tests: int = 100
+    fit_updates: int = 1000
+    fits: int = 1
+    engine: str = "planar"
+
+
+def compare(
+    task: NavigationTask, folder: Path, settings: CorrelationSettings, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return what policies earned, and what was predicted of them from the bags of each seed, as JSON.
+
+    Args:
+        task: Task of a robot on wheels with a time to reach.
+        folder: Folder of the run, which goes on where it was cut off.
+        settings: Settings of the comparison.
+        tell: Takes a line about each policy.
+
+    Raises:
+        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
+    """
+    values = load_values(TIME_TO_REACH, task, folder / "values")
+    bags = [_bag(task, folder, seed, settings) for seed in range(settings.seeds)]
+    learnt_from = load_transitions(bags[:1], task)
+    driven = [_drive(task, folder, each, learnt_from, settings, tell) for each in CANDIDATES]
+    predicted = []
+    for seed, bag in enumerate(bags):
+        transitions = learnt_from if seed == 0 else load_transitions([bag], task)
+        predicted.append(
+            [_predict(task, folder, each, seed, transitions, values, settings, tell) for each in CANDIDATES]
+        )
+    return {"policies": [each.name for each in CANDIDATES], "driven": driven, "predicted": predicted}
+
+
+class Agreement(NamedTuple):
+    """How well an estimate agrees with what the policies earned.
+
+    Attributes:
+        correlation: Correlation of each seed (seeds,).
+        ranks: Rank correlation of each seed (seeds,).
+        regret: Return lost by driving the policy with the best estimate, as a share of that between the best policy
+            and the worst, of each seed (seeds,).
+        interval: 95 % interval of the correlation over resampled policies and seeds (2,).
+    """
+
+    correlation: Array
+    ranks: Array
+    regret: Array
+    interval: Array
+
+
+def agreements(found: dict[str, Any]) -> dict[str, Agreement]:
+    """Return how well each estimate agrees with the returns driven, by its name."""
+    driven = np.array([each["return"] for each in found["driven"]])
+    random = np.random.default_rng(0)
+    out = {}
+    for name in sorted(ESTIMATES & found["predicted"][0][0].keys()):
+        sign = -1.0 if name == "time_lost" else 1.0
+        estimates = sign * np.array([[each[name] for each in predicted] for predicted in found["predicted"]])
+        drawn = []
+        for _ in range(_RESAMPLED):
+            chosen = random.integers(len(driven), size=len(driven))
+            drawn.append(correlation(estimates[random.integers(len(estimates)), chosen], driven[chosen]))
+        lost = driven.max() - driven[estimates.argmax(axis=1)]
+        out[name] = Agreement(
+            correlation=np.array([correlation(row, driven) for row in estimates]),
+            ranks=np.array([correlation(_ranks(row), _ranks(driven)) for row in estimates]),
+            regret=lost / max(float(np.ptp(driven)), 1e-9),
+            interval=np.quantile(drawn, (0.025, 0.975)),
+        )
+    return out
+
+
+def _ranks(numbers: Array) -> Array:
+    """Return the ranks of numbers (n,), the mean rank of those that are equal."""
+    return np.asarray((numbers[:, None] > numbers).sum(axis=1) + 0.5 * (numbers[:, None] == numbers).sum(axis=1), float)
+
+
+def _bag(task: NavigationTask, folder: Path, seed: int, settings: CorrelationSettings) -> Path:
+    here = folder / f"bags_{seed}"
+    labelled, done = here / "labelled", here / "done"
+    if not done.exists():
+        if here.exists():
+            rmtree(here)
+        here.mkdir(parents=True)
+        drive(task, ScriptedDriver(task), settings.episodes, _SEEDS_APART * (seed + 1), here / "bag", settings.engine)
+        function = load_value(find_time_to_reach(task, folder / "values"))
+        relabel(here / "bag", labelled, function, RewardEvaluator(task, function))
+        done.touch()
+    return labelled
+
+
+def _drive(
+    task: NavigationTask,
+    folder: Path,
+    candidate: Candidate,
+    transitions: Transitions,
+    settings: CorrelationSettings,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
+    """Learn a policy and drive it."""
+    file, result = folder / f"{candidate.name}.safetensors", folder / f"{candidate.name}.json"
+    if not result.exists():
+        if not file.exists():
+            how = LearningSettings(candidate.method, updates=candidate.updates, temperature=candidate.temperature)
+            values = None if candidate.value is None else load_values(candidate.value, task, folder / "values")
+            learn(transitions, task, how, values).save(file)
+        drives = drive(task, PolicyDriver(load_policy(file)), settings.tests, _TEST_SEED, engine=settings.engine)
+        told = {"return": float(drives.returns(DISCOUNT).mean()), "success": float(drives.success.mean())}
+        atomic_write(result, json.dumps(with_digest(told)))
+        tell(f"{candidate.name}: driven, return {told['return']:.0f}, success {told['success']:.2f}")
+    found: dict[str, Any] = read_json(result)
+    return {key: found[key] for key in ("return", "success")}
+
+
+def _predict(
+    task: NavigationTask,
+    folder: Path,
+    candidate: Candidate,
+    seed: int,
+    transitions: Transitions,
+    values: StateValues,
+    settings: CorrelationSettings,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
+    """Predict a policy's return from a bag."""
+    result = folder / f"{candidate.name}-from-{seed}.json"
+    if not result.exists():
+        actor = Actor.load(folder / f"{candidate.name}.safetensors")
+        report = evaluate_offline(
+            transitions,
+            task,
+            actor,
+            values,
+            discount=DISCOUNT,
+            updates=settings.fit_updates,
+            fits=settings.fits,
+            seed=seed,
+        )
+        told = {
+            "fitted_q": report.fitted_q.mean,
+            "doubly_robust": report.doubly_robust.mean,
+            "time_lost": 0.0 if report.time_lost is None else report.time_lost.mean,
+            "recommended": report.recommended.mean,
+            "replayed": report.replayed,
+            "better": report.better,
+            "driver": report.driver.mean,
+            **({} if report.model is None else {"model": report.model.mean}),
+        }
+        atomic_write(result, json.dumps(with_digest(told)))
+        tell(f"{candidate.name}, seed {seed}: predicted return {told['recommended']:.0f}")
+    found: dict[str, Any] = read_json(result)
+    return {key: found[key] for key in (*_TOLD, *sorted(ESTIMATES & found.keys()))}

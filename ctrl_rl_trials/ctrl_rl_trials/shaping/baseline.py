@@ -1,0 +1,61 @@
+"""V of the time to reach as a baseline: the discounted sparse reward, 1000 gamma^(phi/dt) where the goal pays 1000."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
+from ctrl_rl_learning.sb3.environment import observation_scales
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from ttr_reward_node.rewards.progress import TimeToReach
+
+from ctrl_rl_core import NavigationTask
+
+_STATES, _STEPS, _BATCH, _RATE = 8192, 600, 256, 1e-3
+
+
+class TimeToReachBaseline:
+    """V of the state that is part of an observation, in units of the learner's reward; 0 where there is no way.
+
+    Args:
+        potential: Time to reach of the task.
+        task: Task whose observations are given, as `ctrl_rl_learning.sb3.environment` scales them.
+        gamma: Discount of a step.
+    """
+
+    def __init__(self, potential: TimeToReach, task: NavigationTask, gamma: float) -> None:
+        self._potential, self._gamma = potential, gamma
+        self._time_step, self._goal = task.episode.time_step, REWARD_SCALE * task.rewards.goal
+        middle, unit = observation_scales(task)
+        count = potential.domain.shape[1]
+        self._middle, self._unit = middle[:count], unit[:count]
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return V (N,) for observations (N, d)."""
+        states = observations[:, : len(self._unit)].astype(float) * self._unit + self._middle
+        steps = self._potential.times(states.astype(np.float64)) / self._time_step
+        return (self._goal * self._gamma**steps).astype(np.float32)
+
+
+def fit_critic(model: BaseAlgorithm, baseline: TimeToReachBaseline, seed: int) -> None:
+    """Teach the critic of an untrained policy gradient V, on what random actions from the task's starts observe."""
+    policy: torch.nn.Module = model.policy
+    environments = model.env
+    assert environments is not None
+    random = np.random.default_rng(seed)
+    environments.seed(seed)
+    seen = [np.asarray(environments.reset())]
+    while len(seen) * len(seen[0]) < _STATES:
+        actions = random.uniform(-1.0, 1.0, (len(seen[0]), 2)).astype(np.float32)
+        seen.append(np.asarray(environments.step(actions)[0]))
+    observations = np.concatenate(seen).astype(np.float32)
+    inputs, wanted = torch.from_numpy(observations), torch.from_numpy(baseline(observations))[:, None]
+    learnt = [each for name, each in policy.named_parameters() if "value_net" in name]
+    optimizer = torch.optim.Adam(learnt, lr=_RATE)
+    for _ in range(_STEPS):
+        chosen = torch.from_numpy(random.integers(len(inputs), size=_BATCH))
+        loss = torch.nn.functional.mse_loss(policy.predict_values(inputs[chosen]), wanted[chosen])  # type: ignore[operator]
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()

@@ -1,0 +1,129 @@
+"""MPC's time to go: the seconds to the goal that its trajectories take, looked up among their states."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+from ctrl_rl_core.tasks.schema.optimal_control import OptimalControlSpec
+from numpy.typing import NDArray
+from oc_baseline_node.problems.problem import TIME_STEP_RANGE, OptimalControlProblem, formulate
+from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data
+from scipy.spatial import KDTree
+
+from ctrl_rl_core import NavigationTask, Outcome, TaskSets, signed_distance
+from ctrl_rl_trials.shaping.variants import GAMMA
+
+Array = NDArray[np.float64]
+TRAJECTORIES = 300
+"""Solved trajectories of a task, from random starts."""
+_STEPS = 100
+"""Steps of a trajectory."""
+_NEIGHBOURS = 32
+_LEAST_RATE = 1e-6
+_LOOKS = np.linspace(0.0, 1.0, 8)[:-1]
+"""Where on the way to a neighbour an obstacle is looked for, as parts of it."""
+
+
+def pose(task: NavigationTask) -> OptimalControlProblem:
+    """Return the optimal control problem of a task's time to go, made by one rule for all tasks.
+
+    The steps of a trajectory are equal and free, and the longest trajectory lasts an episode. The state cost does not
+    grow and outweighs the controls' by far, so that trajectories are fast. A trap is no obstacle: the time to reach
+    knows none either.
+
+    Raises:
+        OcError: MPC does not know such a world.
+    """
+    longest = task.episode.steps * task.episode.time_step
+    spec = OptimalControlSpec.model_validate(
+        {
+            "horizon": _STEPS,
+            "time_step": f"{longest / (_STEPS * TIME_STEP_RANGE[1])!r} s",
+            "gamma": 1.0,
+            "discount": GAMMA,
+            "state_weight": 10.0,
+            "control_weight": 0.1,
+            "clearance": "0 m",
+            "trajectories": TRAJECTORIES,
+            "controls": {},
+            "bounds": {},
+        }
+    )
+    return formulate(task.model_copy(update={"optimal_control": spec}), "free_time")
+
+
+def find_or_solve_trajectories(task: NavigationTask, folder: Path, workers: int = 1) -> Path:
+    """Return the folder of MPC's trajectories of this version of a task; what it lacks is solved now.
+
+    Args:
+        task: Task in an arena.
+        folder: Folder in which those of each task have one of their own.
+        workers: Processes that solve.
+
+    Raises:
+        OcError: MPC does not know such a world, or finds hardly any trajectory to the goal.
+        LockError: Another call works in the folder.
+    """
+    # CasADi is only needed here: whoever has the trajectories learns without it.
+    from oc_baseline_node.value_data.workers import make_data
+
+    problem = pose(task)
+    own = folder / f"{task.name}-{problem.digest[:12]}-mpc"
+    make_data(problem, DataSettings(TRAJECTORIES), own, workers)
+    return own
+
+
+class TimeToGo:
+    """Time to go by the trajectories of `find_or_solve_trajectories`.
+
+    It is the least over the nearest of their states that are in sight, of what each has left to the goal and the time
+    between at the fastest rates that trajectories show. A network would smooth it across walls, where it jumps.
+
+    Args:
+        folder: Folder of the trajectories.
+        task: Task that they belong to.
+
+    Attributes:
+        longest: Time of the longest trajectory [s].
+        digest: SHA-256 of the trajectories.
+
+    Raises:
+        OcError: They belong to another task, or some are missing.
+    """
+
+    def __init__(self, folder: Path, task: NavigationTask) -> None:
+        problem = pose(task)
+        data = load_data(folder, problem)
+        left, met = _time_left(task, data)
+        self.longest = float(left.max())
+        self.digest = hashlib.sha256(data.states.tobytes() + data.time_steps.tobytes()).hexdigest()
+        steps = data.time_steps[:, None, None]
+        self._rates = np.maximum(np.max(np.abs(np.diff(data.states, axis=1)) / steps, axis=(0, 1)), _LEAST_RATE)
+        self._angles = np.array([each.periodic for each in problem.system.states])
+        self._tree = KDTree(self._in_seconds(data.states[met]))
+        self._left, self._places = left[met], data.states[met][:, problem.positions]
+        self._positions, self._obstacles = problem.positions, problem.obstacles
+
+    def times(self, states: Array) -> Array:
+        """Return the times (N,) from states (N, n) to the goal [s]; +inf where no state of a trajectory is in sight."""
+        apart, index = self._tree.query(self._in_seconds(states), k=_NEIGHBOURS)
+        way = self._places[index] - states[:, None, self._positions]
+        between = states[:, None, None, self._positions] + _LOOKS[:, None] * way[:, :, None]
+        blocked = np.any(signed_distance(self._obstacles, between) <= 0.0, axis=-1)
+        least = np.min(np.where(blocked, np.inf, self._left[index] + apart), axis=1)
+        return np.where(least <= self.longest, least, np.inf)
+
+    def _in_seconds(self, states: Array) -> Array:
+        """Return states (N, n) as coordinates (N, m) [s], at the fastest rates; an angle is a point of a circle."""
+        angles, rates = states[:, self._angles], self._rates[self._angles]
+        straight = states[:, ~self._angles] / self._rates[~self._angles]
+        return np.concatenate((straight, np.cos(angles) / rates, np.sin(angles) / rates), axis=1)
+
+
+def _time_left(task: NavigationTask, data: ValueData) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the time to the first state in the goal (N, H+1) [s], and which states come before or are it."""
+    arrived = np.argmax(TaskSets(task).outcomes(data.states) == Outcome.GOAL, axis=1)
+    steps = arrived[:, None] - np.arange(data.states.shape[1])
+    return np.maximum(steps, 0) * data.time_steps[:, None], steps >= 0

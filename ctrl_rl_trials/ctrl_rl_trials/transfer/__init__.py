@@ -1,0 +1,1 @@
+"""A policy on a robot that it was not learnt on."""
