@@ -153,7 +153,7 @@ def test_few_samples_of_a_control_are_doubted():
     target = Region({"x": Interval(-0.3, 0.3), "y": Interval(-0.3, 0.3)})
     assert solve(TimeToReachProblem(system, axes, target)).certificate.doubts == ()
     few = solve(TimeToReachProblem(system, axes, target, control_counts=4)).certificate
-    assert "solve with more, such as --controls heading=7" in few.doubts[0]
+    assert "solve with more, such as --controls heading=33" in few.doubts[0]
     assert few.contradictions > 0  # paths back also take controls between the samples
 
 

@@ -63,18 +63,43 @@ def test_samples_go_to_the_control_that_needs_them():
     assert problem(own).control_counts == (3, 33)
 
 
+def test_a_spike_between_the_samples_is_found():
+    spike = problem(system(lambda m, _x, u, _d: (m.exp(-1e4 * (u[0] - 0.3) ** 2),), states="x"))
+    assert spike.system.dynamics([0.0], spike.control_samples).max() == pytest.approx(1.0, rel=0.01)
+
+
 def test_what_cannot_be_sampled_within_reason_is_doubted():
-    """Two angles that point anywhere in space need hundreds of pairs."""
+    """Three angles that point anywhere in four dimensions, against a strong current, need thousands of triples."""
+    angles = tuple(replace(TURN, name=name) for name in "abc")
+
+    def f(m, _x, u, _d):
+        xy, yz, zw = ((m.cos(angle), m.sin(angle)) for angle in u)
+        return xy[0] * yz[0] * zw[0] + 0.95, xy[1] * yz[0] * zw[0], yz[1] * zw[0], zw[1]
+
+    pointing = problem(replace(system(f, states="wxyz"), controls=angles), count=9)
+    assert len(pointing.control_samples) == MOST_SAMPLES
+    assert "solve with more, such as --controls a=33 b=33 c=33" in pointing.control_doubt
+
+
+@pytest.mark.parametrize("current", [0.0, 0.5, 0.9, 0.98])
+def test_controls_are_added_where_little_way_is_made(current):
+    """Against a current of 0.98, what 80 headings and pitches miss of a submarine's speed is most of its way."""
     elevation = Quantity("up", "rad", -math.pi / 2, math.pi / 2)
 
     def f(m, _x, u, _d):
-        return m.cos(u[0]) * m.cos(u[1]), m.sin(u[0]) * m.cos(u[1]), m.sin(u[1])
+        return m.cos(u[0]) * m.cos(u[1]) + current, m.sin(u[0]) * m.cos(u[1]), m.sin(u[1])
 
-    pointing = problem(replace(system(f, states="xyz"), controls=(TURN, elevation)))
-    assert len(pointing.control_samples) <= MOST_SAMPLES
-    assert "of the velocities: solve with more, such as --controls heading=33 up=9" in pointing.control_doubt
-    spike = problem(system(lambda m, _x, u, _d: (m.exp(-1e4 * (u[0] - 0.3) ** 2),), states="x"))
-    assert "--controls u=" in spike.control_doubt
+    submarine = problem(replace(system(f, states="xyz"), controls=(TURN, elevation)))
+    assert len(submarine.control_samples) <= MOST_SAMPLES
+    assert submarine.control_doubt == ""
+    velocities = submarine.system.dynamics(np.zeros(3), submarine.control_samples)
+    random = np.random.default_rng(0).normal(size=(500, 3))
+    for direction in random / np.linalg.norm(random, axis=1, keepdims=True):
+        speed = 1.0 + current * direction[0]
+        assert (velocities @ direction).max() >= 0.94 * speed
+
+    even = replace(submarine, more_controls=())
+    assert "of the speed at which the robot makes way: solve with more, such as --controls" in even.control_doubt
 
 
 def test_numbers_that_are_asked_for_are_kept_and_doubted():

@@ -1,37 +1,33 @@
-"""How many samples of each control the solvers try.
+"""Which controls the solvers try.
 
 Where every derivative is affine in the controls, the bounds are enough: the best control lies at a corner of their box.
-Elsewhere it may lie anywhere between. What counts then is the set of velocities f(x, U): the samples must span the same
-convex hull, to about a hundredth of its size, at random states of the grid. Hulls are compared by their support
-functions, the largest p . f(x, u) along random directions p, with those of thousands of controls.
+Elsewhere it may lie anywhere between. Then evenly spaced samples span the set of velocities to about a hundredth of its
+size, and a few more are put where a front of equal times would still be slowed down: against a current that is nearly
+as fast as the boat, a hundredth of the boat's speed is a fifth of the way it makes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Axis, System
+from ctrl_rl_core import System
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.dependence import AFFINE, dependences
-from ttr_reward_node.problems.limits import state_limits
+from ttr_reward_node.problems.velocity_hulls import VelocityHulls
 
 Array = NDArray[np.float64]
 USUAL_COUNT = 3
 """Samples of a control that enters linearly: the bounds, and the middle, which saves switching to and fro."""
-MOST_SAMPLES = 129
+MOST_EVEN = 129
+"""Evenly spaced controls that are tried at most, unless their number is asked for."""
+MOST_SAMPLES = 320
 """Controls that are tried at most, unless their number is asked for."""
-_ACCURACY = 0.01  # of half of the set's width
-_DOUBTFUL = 0.03  # likewise, from where on the samples are said to be too few
-_STATES = 64
-_DIRECTIONS = 32
-_DENSE = (1025, 33, 11, 7)  # samples of each of 1, 2, 3, 4 controls to compare with
-_RANDOM = 512  # random controls to compare with
-_NARROW = 0.05  # of the largest width along a state's axis: sets that are narrower there are measured by this
+_ACCURACY = 0.01  # of half of the width of the set of velocities, and of the speed of a front
+_MANY = 33  # samples of a control to advise at least
+_DOUBTFUL = 0.06  # of that speed, from where on the samples are said to be too few
 
 
 def check_control_counts(system: System, counts: int | Sequence[int]) -> None:
@@ -72,32 +68,50 @@ def choose_control_counts(hulls: VelocityHulls, asked: Mapping[str, int] | None 
         return USUAL_COUNT
     free = [k for k in bent if system.control_names[k] not in asked]
     if free:
-        while hulls.error(counts) > _ACCURACY:
+
+        def error(counts: Sequence[int]) -> float:
+            return hulls.missing_width(hulls.controls(counts))
+
+        while error(counts) > _ACCURACY:
             finer = [[2 * c - 1 if i == k else c for i, c in enumerate(counts)] for k in free]
-            finer = [some for some in finer if hulls.samples(some) <= MOST_SAMPLES]
+            finer = [some for some in finer if hulls.samples(some) <= MOST_EVEN]
             if not finer:
                 break
-            counts = min(finer, key=hulls.error)
+            counts = min(finer, key=error)
     return tuple(counts)
 
 
-def control_doubt(hulls: VelocityHulls, counts: int | Sequence[int]) -> str:
-    """Return what is wrong with the numbers of samples: a line that says what to change, empty where nothing is."""
+def choose_more_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> Array:
+    """Return controls (k, m) to try besides evenly spaced ones: none where the system is affine in its controls."""
+    even = sample_controls(hulls, counts)
+    if not _bent_controls(hulls.system):
+        return even[:0]
+    return hulls.complete(even, _ACCURACY, MOST_SAMPLES)
+
+
+def control_doubt(hulls: VelocityHulls, counts: int | Sequence[int], controls: Array) -> str:
+    """Return what is wrong with the controls (k, m): a line that says what to change, empty where nothing is.
+
+    Args:
+        hulls: Velocities of the system on its grid.
+        counts: Numbers of evenly spaced samples among them.
+        controls: All that are tried.
+    """
     system = hulls.system
     bent = _bent_controls(system)
-    error = hulls.error(counts) if bent else 0.0
+    error = hulls.missing_speed(controls) if bent else 0.0
     if error <= _DOUBTFUL:
         return ""
     each = [counts] * len(system.controls) if isinstance(counts, int) else list(counts)
-    more = " ".join(f"{system.control_names[k]}={2 * each[k] - 1}" for k in bent)
+    more = " ".join(f"{system.control_names[k]}={max(2 * each[k] - 1, _MANY)}" for k in bent)
     return (
-        f"the samples of the controls miss up to {100 * error:.0f} % of the velocities: solve with more, such as "
-        f"--controls {more}"
+        f"the samples of the controls miss up to {100 * error:.0f} % of the speed at which the robot makes way: solve "
+        f"with more, such as --controls {more}"
     )
 
 
 def sample_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> Array:
-    """Return the controls (k, m) that are tried: as `System.control_samples`, less the end of a whole turn.
+    """Return evenly spaced controls (k, m): as `System.control_samples`, less the end of a whole turn.
 
     Where a control does the same at both bounds, as a heading does over a whole turn, the upper one is left out.
     """
@@ -110,89 +124,3 @@ def _bent_controls(system: System) -> list[int]:
     """Return the controls that a derivative is not affine in, as far as the equations tell."""
     rates = [rate for rate in dependences(system) if rate.control_degree > AFFINE]
     return sorted(frozenset[int]().union(*(rate.controls for rate in rates)))
-
-
-@dataclass(frozen=True, eq=False)
-class VelocityHulls:
-    """Sets of velocities of a system at random states of a grid, and how well samples of the controls span them."""
-
-    system: System
-    axes: Sequence[Axis]
-
-    def controls(self, counts: int | Sequence[int]) -> Array:
-        """Return evenly spaced controls (k, m)."""
-        each = [counts] * len(self.system.controls) if isinstance(counts, int) else list(counts)
-        ticks = [
-            np.linspace(c.lower, c.upper, 1 if c.lower == c.upper else count)[: -1 if turns and count > 2 else None]
-            for c, count, turns in zip(self.system.controls, each, self._turns, strict=True)
-        ]
-        return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(each))
-
-    def samples(self, counts: int | Sequence[int]) -> int:
-        """Return the number of those controls."""
-        return len(self.controls(counts))
-
-    def error(self, counts: int | Sequence[int]) -> float:
-        """Return by how much the samples' hull is smaller than the true one, at most, as a part of half its width."""
-        support, half = self._reference
-        found = self._supports(self.controls(counts))
-        return float(np.max((support - found) / half, initial=0.0))
-
-    @cached_property
-    def _states(self) -> Array:
-        random = np.random.default_rng(1)
-        ends = np.array([[axis.lower for axis in self.axes], [axis.upper for axis in self.axes]])
-        lower, upper = np.clip(ends, *state_limits(self.system, self.axes))
-        return random.uniform(lower, upper, (_STATES, len(self.axes)))
-
-    @cached_property
-    def _turns(self) -> list[bool]:
-        """Whether each control does the same at both of its bounds."""
-        random, (low, high) = np.random.default_rng(2), self.system.control_bounds
-        turns = []
-        for k in range(len(low)):
-            u = random.uniform(low, high, (_STATES, len(low)))
-            ends = []
-            for bound in (low[k], high[k]):
-                u[:, k] = bound
-                ends.append(self.system.dynamics(self._states, u))
-            same = np.allclose(ends[0], ends[1], rtol=1e-9, atol=1e-9 * float(np.abs(ends).max()))
-            turns.append(bool(low[k] < high[k] and same))
-        return turns
-
-    @cached_property
-    def _dense(self) -> Array:
-        """Many controls: a grid that is as fine as a few thousand allow, and random ones."""
-        random, (low, high) = np.random.default_rng(3), self.system.control_bounds
-        free = int(np.count_nonzero(low < high))
-        some = random.uniform(low, high, (_RANDOM, len(low)))
-        if free > len(_DENSE):
-            return np.concatenate((some, self.system.control_samples(2)))
-        return np.concatenate((some, self.system.control_samples(_DENSE[max(free, 1) - 1])))
-
-    @cached_property
-    def _directions(self) -> Array:
-        """Directions (p, n), each component by the range of that derivative."""
-        width = np.zeros(len(self.axes))
-        for x in self._states:
-            width = np.maximum(width, np.ptp(self._velocities(x, self._dense), axis=0))
-        moved = np.flatnonzero(width > 0.0)
-        units = np.eye(len(width))[moved]
-        random = np.random.default_rng(4).normal(size=(_DIRECTIONS, len(moved)))
-        random /= np.linalg.norm(random, axis=1, keepdims=True) + 1e-300
-        scaled = np.concatenate((units, -units, random @ units))
-        return np.divide(scaled, width, out=np.zeros_like(scaled), where=width > 0.0)
-
-    @cached_property
-    def _reference(self) -> tuple[Array, Array]:
-        """Support function (states, directions) of many controls, and half of the width of the sets."""
-        support, opposite = (self._supports(self._dense, sign) for sign in (1.0, -1.0))
-        half = 0.5 * (support + opposite)
-        return support, np.maximum(half, 0.5 * _NARROW)
-
-    def _supports(self, controls: Array, sign: float = 1.0) -> Array:
-        directions = sign * self._directions
-        return np.array([(self._velocities(x, controls) @ directions.T).max(axis=0) for x in self._states])
-
-    def _velocities(self, x: Array, controls: Array) -> Array:
-        return np.broadcast_to(self.system.dynamics(x, controls), (len(controls), len(x)))

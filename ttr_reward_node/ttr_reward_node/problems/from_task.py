@@ -28,9 +28,10 @@ from ctrl_rl_core import (
     task_digest,
 )
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.control_choice import VelocityHulls, choose_control_counts
+from ttr_reward_node.problems.control_choice import choose_control_counts
 from ttr_reward_node.problems.obstacles import make_clearance
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
+from ttr_reward_node.problems.velocity_hulls import VelocityHulls
 
 _STRAIGHT = 1e-9
 

@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core import Axis, Interval, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.control_choice import (
-    VelocityHulls,
     check_control_counts,
     choose_control_counts,
+    choose_more_controls,
     control_doubt,
     sample_controls,
 )
@@ -39,6 +39,7 @@ from ttr_reward_node.problems.problem_checks import (
     check_system,
     check_target,
 )
+from ttr_reward_node.problems.velocity_hulls import VelocityHulls
 
 _ROUNDING = 1e-9  # of an axis's length
 
@@ -68,6 +69,7 @@ class TimeToReachProblem:
         control_counts: Samples of each control between its bounds, one number for all or one for each. None chooses,
             and can be read afterwards: three for a system that is affine in u, where two are enough for the Hamiltonian
             and the middle saves switching to and fro; else as many as `control_choice` finds.
+        more_controls: Controls that are tried besides those; where the counts are chosen, these are as well.
         name: Name of the task, for the value file.
         digest: SHA-256 of the task; empty where there is no task file, and `content_digest` then stands for it.
         inflation: Distance by which the clearance has been reduced [m], for the record.
@@ -82,6 +84,7 @@ class TimeToReachProblem:
     target: Region
     clearance: Clearance | None = None
     control_counts: int | tuple[int, ...] | None = None
+    more_controls: tuple[tuple[float, ...], ...] = ()
     name: str = "custom"
     digest: str = field(default="")
     inflation: float = 0.0
@@ -96,7 +99,10 @@ class TimeToReachProblem:
         check_disturbances(self.system, self.axes)
         check_target(self.target, self.axes, self.limits)
         if self.control_counts is None:
-            object.__setattr__(self, "control_counts", choose_control_counts(self._hulls))
+            counts = choose_control_counts(self._hulls)
+            more = choose_more_controls(self._hulls, counts)
+            object.__setattr__(self, "control_counts", counts)
+            object.__setattr__(self, "more_controls", tuple(tuple(each) for each in more.tolist()))
         else:
             check_control_counts(self.system, self.control_counts)
         if self.clearance is not None:
@@ -133,13 +139,14 @@ class TimeToReachProblem:
     def control_samples(self) -> NDArray[np.float64]:
         """Controls (k, m) that the solvers try, and that roll-outs choose from."""
         assert self.control_counts is not None  # chosen where the problem was made
-        return sample_controls(self._hulls, self.control_counts)
+        even = sample_controls(self._hulls, self.control_counts)
+        return np.concatenate((even, np.reshape(self.more_controls, (len(self.more_controls), even.shape[1]))))
 
     @cached_property
     def control_doubt(self) -> str:
         """Line that says that the controls have too few samples, and what to change; empty where they have enough."""
         assert self.control_counts is not None
-        return control_doubt(self._hulls, self.control_counts)
+        return control_doubt(self._hulls, self.control_counts, self.control_samples)
 
     @cached_property
     def limits(self) -> NDArray[np.float64]:

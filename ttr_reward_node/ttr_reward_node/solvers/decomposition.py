@@ -201,6 +201,7 @@ def _make_subproblem(
         target=_project_target(problem.target, names, states),
         clearance=_project_clearance(problem.clearance, kept),
         control_counts=counts if isinstance(counts, int) and is_affine(system) else None,
+        more_controls=(),
     )
 
 
