@@ -1,6 +1,14 @@
 from .command import CommandError as CommandError
 from .command import parse_options as parse_options
 from .command import run_command as run_command
+from .driving.drive import Command as Command
+from .driving.drive import DrivenRobot as DrivenRobot
+from .driving.drive import Driver as Driver
+from .driving.drive import Episode as Episode
+from .driving.drive import Episodes as Episodes
+from .driving.drive import Filter as Filter
+from .driving.drive import Step as Step
+from .driving.drive import drive as drive
 from .driving.drive_safety import DriveSafety as DriveSafety
 from .driving.lidar_velocity_node import LIDAR_PARAMETERS as LIDAR_PARAMETERS
 from .driving.lidar_velocity_node import LidarVelocityNode as LidarVelocityNode
@@ -36,6 +44,7 @@ from .policies.actor import Actor as Actor
 from .policies.errors import PolicyError as PolicyError
 from .policies.manifest import PolicyManifest as PolicyManifest
 from .policies.policy import Policy as Policy
+from .policies.policy import PolicyDriver as PolicyDriver
 from .policies.policy import PolicyKind as PolicyKind
 from .policies.policy import find_policy as find_policy
 from .policies.policy import load_policy as load_policy

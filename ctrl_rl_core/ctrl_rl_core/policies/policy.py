@@ -15,11 +15,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core.driving.drive import Driver
+from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.file_checks import one_line, raise_as, read_bytes, short_path
 from ctrl_rl_core.plugins import find_plugins, load_plugin
@@ -35,8 +37,9 @@ GROUP = "ctrl_rl.policies"
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 30.0)
 
 
-class Policy(Protocol):
-    """A policy that gives one robot its commands.
+@runtime_checkable
+class Policy(Driver[Sensors], Protocol):
+    """A learnt driver of one robot.
 
     Attributes:
         robot: Kind of robot, a key of `manifest.COMMAND_NAMES`.
@@ -54,12 +57,19 @@ class Policy(Protocol):
     needs: frozenset[str]
     description: str
 
-    def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,): speed [m/s] and turn rate [rad/s], or thrusts T_1 and T_2 [N].
 
-        Raises:
-            CtrlRlError: It gives none, so that the robot must stand.
-        """
+class PolicyDriver:
+    """A policy as its node drives it: within its limits, at rest where it gives no command."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,)."""
+        try:
+            return np.clip(self._policy.command(sensors), *self._policy.limits)
+        except CtrlRlError:
+            return self._policy.rest
 
 
 class PolicyKind(NamedTuple):

@@ -21,7 +21,9 @@ class Sensors(NamedTuple):
         odometry: The last odometry (13,), see `ODOMETRY_NAMES`.
         pose: Pose x, y, theta (3,) [m, m, rad]; None where it is unknown.
         goal: Goal x, y, theta in the frame of the pose (3,) [m, m, rad]; None where there is none.
-        command: Last command (2,).
+        command: Last command that was sent (2,).
+        time: Time of the odometry, on the clock of the robot [s].
+        age: Age of the scan at that time; 0 for one that was taken just then [s].
     """
 
     ranges: NDArray[np.float32]
@@ -30,3 +32,5 @@ class Sensors(NamedTuple):
     pose: Array | None
     goal: Array | None
     command: Array
+    time: float = 0.0
+    age: float = 0.0

@@ -1,0 +1,234 @@
+"""One robot, one driver, one filter: how every episode is driven.
+
+    episodes = drive(robot, driver, filter, seeds=range(100))
+    episodes.success, episodes.outcomes, episodes.seconds
+
+A robot has Gymnasium's form, so that any environment is one. What it shows its driver is `Sensors`, or whatever else an
+environment observes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core.tasks.outcome import Outcome
+
+Array = NDArray[np.float64]
+Command = NDArray[np.float64]
+"""Speed [m/s] and turn rate [rad/s], thrusts T_1 and T_2 [N], or an environment's action (2,)."""
+
+Seen = TypeVar("Seen")
+SeenOut = TypeVar("SeenOut", covariant=True)
+SeenIn = TypeVar("SeenIn", contravariant=True)
+
+
+class Driver(Protocol[SeenIn]):
+    """Decides: a policy, a controller, a navigator, an adversary."""
+
+    def command(self, sensors: SeenIn, /) -> Command:
+        """Return the command (2,) for what the robot senses.
+
+        Raises:
+            CtrlRlError: There is none, so that the robot must stand; the message is the reason.
+        """
+
+
+class Filter(Protocol[SeenIn]):
+    """Stands between driver and robot."""
+
+    def __call__(self, sensors: SeenIn, command: Command, /) -> Command:
+        """Return the command (2,) to send in place of the driver's."""
+
+
+class DrivenRobot(Protocol[SeenOut]):
+    """A robot in Gymnasium's form; one step holds a command for one period."""
+
+    def reset(self, *, seed: int) -> tuple[SeenOut, dict[str, Any]]:
+        """Begin the episode of a seed."""
+
+    def step(self, command: Any, /) -> tuple[SeenOut, Any, bool, bool, dict[str, Any]]:
+        """Hold a command; return what is sensed then, a reward, whether it terminated or was truncated, and more."""
+
+
+class Step(NamedTuple, Generic[Seen]):
+    """One state of an episode, and how the robot came there.
+
+    Attributes:
+        sensors: What the robot senses there.
+        command: Command that was held until then (2,); None at the start.
+        reward: Reward for it.
+        info: What else the robot says.
+    """
+
+    sensors: Seen
+    command: Command | None
+    reward: float
+    info: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Episode(Generic[Seen]):
+    """One episode.
+
+    Attributes:
+        seed: Its seed.
+        steps: Number of commands.
+        total: Undiscounted return.
+        changed: Part of the commands that the filter changed.
+        info: The robot's last word, with `outcome` where it knows one.
+        trace: All states from the start on; empty unless they were to be kept.
+    """
+
+    seed: int
+    steps: int
+    total: float
+    changed: float
+    info: Mapping[str, Any]
+    trace: Sequence[Step[Seen]] = ()
+
+    @property
+    def outcome(self) -> str:
+        """Name of its outcome; empty where the robot knows none."""
+        return str(self.info.get("outcome", ""))
+
+    @property
+    def states(self) -> Array:
+        """The true states (steps + 1, n), of an episode whose states were kept."""
+        return np.array([step.info["state"] for step in self.trace])
+
+
+class Episodes(Sequence[Episode[Seen]]):
+    """Episodes in the order of their seeds, and their facts as arrays of one element for each."""
+
+    def __init__(self, episodes: Iterable[Episode[Seen]]) -> None:
+        self._episodes = tuple(episodes)
+
+    @overload
+    def __getitem__(self, index: int) -> Episode[Seen]: ...
+    @overload
+    def __getitem__(self, index: slice) -> Episodes[Seen]: ...
+    def __getitem__(self, index: int | slice) -> Episode[Seen] | Episodes[Seen]:
+        return Episodes(self._episodes[index]) if isinstance(index, slice) else self._episodes[index]
+
+    def __len__(self) -> int:
+        return len(self._episodes)
+
+    def __repr__(self) -> str:
+        counted = {name: self.outcomes.count(name) for name in sorted(set(self.outcomes))}
+        return f"{len(self)} episodes: {', '.join(f'{count} {name}' for name, count in counted.items())}"
+
+    @property
+    def seeds(self) -> NDArray[np.int64]:
+        """Seeds (N,)."""
+        return np.array([each.seed for each in self._episodes], dtype=np.int64)
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """Names of the outcomes: GOAL, COLLISION, TRAP or TIMEOUT (N,)."""
+        return tuple(each.outcome for each in self._episodes)
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Numbers of commands (N,)."""
+        return np.array([each.steps for each in self._episodes], dtype=np.int64)
+
+    @property
+    def returns(self) -> Array:
+        """Undiscounted returns (N,)."""
+        return np.array([each.total for each in self._episodes], dtype=np.float64)
+
+    @property
+    def changed(self) -> Array:
+        """Parts of the commands that the filter changed (N,)."""
+        return np.array([each.changed for each in self._episodes], dtype=np.float64)
+
+    @property
+    def seconds(self) -> Array:
+        """Simulated durations (N,) [s]."""
+        return self._told("seconds", np.float64)
+
+    @property
+    def distances(self) -> Array:
+        """Ways driven (N,) [m]."""
+        return self._told("distance", np.float64)
+
+    @property
+    def avoidable(self) -> NDArray[np.bool_]:
+        """Whether an episode ended by a contact that the robot could have avoided (N,)."""
+        return self._told("avoidable", np.bool_)
+
+    @property
+    def success(self) -> float:
+        """Part of the episodes that reached the goal."""
+        return self.rate(Outcome.GOAL)
+
+    @property
+    def collisions(self) -> float:
+        """Part of the episodes that ended by a contact."""
+        return self.rate(Outcome.COLLISION)
+
+    def rate(self, outcome: Outcome) -> float:
+        """Return the part of the episodes that ended so."""
+        return self.outcomes.count(outcome.name) / max(len(self), 1)
+
+    def _told(self, name: str, kind: Any) -> NDArray[Any]:
+        return np.array([each.info[name] for each in self._episodes], dtype=kind)
+
+
+def drive(
+    robot: DrivenRobot[Seen],
+    driver: Driver[Seen],
+    filter: Filter[Seen] | None = None,  # noqa: A002 - the word of the field
+    seeds: Iterable[int] = range(100),
+    *,
+    keep: bool = False,
+    watch: Callable[[Step[Seen]], object] = lambda _: None,
+) -> Episodes[Seen]:
+    """Drive one episode of each seed.
+
+    Args:
+        robot: Robot to drive, or any environment.
+        driver: Driver; it goes from episode to episode as it is.
+        filter: Filter of the driver's commands; None for none. A robot may have one of its own, whose ticks are shorter
+            than the driver's periods.
+        seeds: Seeds of the episodes.
+        keep: Whether each episode keeps its states.
+        watch: Function that is called in each state, the first and the last one included.
+    """
+    return Episodes(_play(robot, driver, filter, seed, keep, watch) for seed in seeds)
+
+
+def _play(
+    robot: DrivenRobot[Seen],
+    driver: Driver[Seen],
+    filter_: Filter[Seen] | None,
+    seed: int,
+    keep: bool,
+    watch: Callable[[Step[Seen]], object],
+) -> Episode[Seen]:
+    trace: list[Step[Seen]] = []
+
+    def note(step: Step[Seen]) -> None:
+        watch(step)
+        if keep:
+            trace.append(step)
+
+    sensors, info = robot.reset(seed=seed)
+    note(Step(sensors, None, 0.0, info))
+    steps, changed, total, over = 0, 0, 0.0, False
+    while not over:
+        command = driver.command(sensors)
+        if filter_ is not None:
+            wanted, command = command, filter_(sensors, command)
+            changed += not np.array_equal(wanted, command)
+        sensors, reward, terminated, truncated, info = robot.step(command)
+        note(Step(sensors, command, float(reward), info))
+        total += float(reward)
+        steps += 1
+        over = terminated or truncated
+    return Episode(seed, steps, total, float(info.get("changed", changed / max(steps, 1))), info, tuple(trace))
