@@ -10,4 +10,7 @@ from .simulation.lidar import LidarScan as LidarScan
 from .simulation.movers import MoverStates as MoverStates
 from .simulation.odometry import OdometryReading as OdometryReading
 from .simulation.options import SimulationOptions as SimulationOptions
+from .simulation.robot import RobotSenses as RobotSenses
+from .simulation.robot import SimulatedRobot as SimulatedRobot
+from .simulation.robot import goal_of as goal_of
 from .simulation.world import SimulatedWorld as SimulatedWorld

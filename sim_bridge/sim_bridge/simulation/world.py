@@ -171,6 +171,11 @@ class SimulatedWorld:
         """Simulation time since the reset [s]."""
         return self.steps / self.options.rate
 
+    @property
+    def rest(self) -> Array:
+        """Command of a robot that has nothing to do (2,): zeros, or the thrusts that carry a quadrotor [N]."""
+        return self._robots[0].body.idle
+
     def command(self, robot: int, command: ArrayLike) -> bool:
         """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False where it is not finite."""
         return self._robots[robot].channel.send(command, self.steps)
@@ -257,7 +262,7 @@ class SimulatedWorld:
         scan, reading = scan or self.laser_scan(robot), self.odometry(robot)
         odometry = make_odometry(reading.pose, reading.velocity, self.plane)
         last = np.zeros(2) if command is None else command
-        return Sensors(scan.ranges, scan.geometry, odometry, planar(odometry[:7].tolist()), goal, last)
+        return Sensors(scan.ranges, scan.geometry, odometry, planar(odometry[:7].tolist()), goal, last, self.elapsed)
 
     def clearance(self, robot: int = 0) -> float:
         """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 in touch."""

@@ -1,0 +1,109 @@
+"""The robot of a simulated world for `ctrl_rl_core.driving.drive`: it shows `Sensors` and takes commands.
+
+robot = SimulatedRobot(SimulatedWorld(task), period=0.2)
+episodes = drive(robot, PolicyDriver(policy), seeds=range(100))
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, Outcome, Sensors
+from sim_bridge.simulation.lidar import LidarScan
+from sim_bridge.simulation.world import SimulatedWorld
+
+Array = NDArray[np.float64]
+
+_NO_SCAN = LidarScan(np.empty(0, np.float32), 0.0, 1.0, 0.0, 1.0)
+_STILL = 0.005
+"""Speed below which a robot stands, and its turn rate [m/s, rad/s]."""
+
+
+class RobotSenses:
+    """What the first robot of a world senses, with the last scan that was taken here.
+
+    Args:
+        world: World of the robot.
+        goal: Goal x, y, theta (3,) [m, m, rad]; None for none.
+    """
+
+    def __init__(self, world: SimulatedWorld, goal: Array | None = None) -> None:
+        self._world, self._goal = world, goal
+        self._scan, self._scanned_at = _NO_SCAN, -math.inf
+
+    def __call__(self, command: Array, look: bool = True, pose: Array | None = None) -> Sensors:
+        """Return what it senses now.
+
+        Args:
+            command: Last command (2,).
+            look: Whether to take a scan, with new noise; else the last one is shown again.
+            pose: Pose x, y, theta (3,) in the frame of the goal; that by odometry unless given.
+        """
+        world = self._world
+        if look:
+            self._scan, self._scanned_at = world.laser_scan(), world.elapsed
+        sensors = world.sensors(0, self._goal, command, self._scan)
+        return sensors._replace(age=world.elapsed - self._scanned_at, pose=sensors.pose if pose is None else pose)
+
+
+class SimulatedRobot:
+    """The first robot of a world, in Gymnasium's form; each step holds a command and takes a scan at its end.
+
+    Info has `outcome`, a name of `Outcome`, `state` (n,), `seconds` and `stood`, the time for which the robot has stood
+    by now [s].
+
+    Args:
+        world: World of the robot.
+        period: Time for which a step holds its command [s].
+        goal: Goal x, y, theta of the driver (3,) [m, m, rad]; None for none.
+        patience: Time after which an episode is cut in which the robot stands [s].
+    """
+
+    def __init__(
+        self, world: SimulatedWorld, period: float, goal: Array | None = None, patience: float = math.inf
+    ) -> None:
+        self.world, self._goal, self._patience = world, goal, patience
+        self._steps = max(1, round(period * world.options.rate))
+        self._senses = RobotSenses(world, goal)
+        self._stood = 0.0
+
+    def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
+        """Begin the episode of a seed, unless the world stands at its start."""
+        begin(self.world, seed)
+        self._stood, self._senses = 0.0, RobotSenses(self.world, self._goal)
+        return self._senses(self.world.rest), self._info()
+
+    def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
+        """Hold a command (2,) for a period."""
+        world = self.world
+        world.command(0, command)
+        world.step(self._steps)
+        moves = bool(np.abs(world.velocity()).max() > _STILL)
+        self._stood = 0.0 if moves else self._stood + self._steps / world.options.rate
+        episode = world.episode()
+        cut = episode.outcome is Outcome.TIMEOUT or self._stood >= self._patience
+        over = episode.outcome not in (Outcome.RUNNING, Outcome.TIMEOUT)
+        return self._senses(command), episode.reward(world.task.rewards), over, cut and not over, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        world = self.world
+        outcome = world.episode().outcome.name
+        return {"outcome": outcome, "state": world.state(), "seconds": world.elapsed, "stood": self._stood}
+
+
+def begin(world: SimulatedWorld, seed: int) -> None:
+    """Begin the episode of a seed in a world, unless it stands at the start of that one."""
+    if world.seed != seed or world.steps:
+        world.reset(seed)
+
+
+def goal_of(task: NavigationTask) -> Array:
+    """Return the middle of a task's goal as x, y, theta (3,) [m, m, rad], theta 0 where any will do."""
+    region = task.goal.region
+    place = region.disc.centre if region.disc is not None else [region.intervals[name].centre for name in ("x", "y")]
+    heading = region.intervals["theta"].centre if "theta" in region.intervals else 0.0
+    return np.array((*place, math.remainder(heading, 2.0 * math.pi)))
