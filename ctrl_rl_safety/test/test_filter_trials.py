@@ -1,17 +1,22 @@
 """The command that counts contacts: what it counts, how it goes on, and what it refuses."""
 
 import dataclasses
+import math
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ctrl_rl_core.io.results import read_results
 from ctrl_rl_safety.trials.command import main
+from ctrl_rl_safety.trials.episodes import filter_of
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TrialRobot
+from ctrl_rl_safety.trials.sources import Constant
 from ctrl_rl_safety.trials.worlds import room
 
-from ctrl_rl_safety import ROBOTS, FilterOptions, SafetyFilter
+from ctrl_rl_core import drive
+from ctrl_rl_safety import ROBOTS, FilterOptions
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 pytest.importorskip("tyro")
@@ -109,10 +114,10 @@ def test_among_people_a_lidar_of_more_scans_loses_less_time_and_movers_may_be_ad
 def test_the_base_moves_by_its_model_whatever_the_physics_engine_would_do() -> None:
     slow = dataclasses.replace(MODEL, acceleration=0.5, braking=0.5, delay=0.2)
     world = SimulatedWorld(room("boxes", MODEL.name, MODEL, 1), 1, options=SETTINGS)
-    robot = TrialRobot(world, slow, None)
-    robot.drive(np.array((0.7, 0.0)), 0.2)
+    robot = TrialRobot(world, slow)
+    robot.hold(np.array((0.7, 0.0)), 0.2)
     assert world.velocity()[0] == pytest.approx(0.0, abs=1e-3)
-    robot.drive(np.array((0.7, 0.0)), 0.5)
+    robot.hold(np.array((0.7, 0.0)), 0.5)
     assert world.velocity()[0] == pytest.approx(0.25, abs=0.01)
     world.close()
 
@@ -121,10 +126,10 @@ def test_a_mover_that_runs_into_a_robot_that_stands_is_no_fault_of_the_filter() 
     outcomes = set()
     for seed in range(6):
         world = SimulatedWorld(room("movers", MODEL.name, MODEL, seed), seed, options=SETTINGS)
-        robot = TrialRobot(world, MODEL, SafetyFilter(MODEL, FilterOptions(mover_speed=0.4)), with_set=False)
-        while not robot.over:
-            robot.drive(np.zeros(2), 1.0)
-        assert not robot.avoidable
-        outcomes.add(robot.run_into)
+        make_filter = partial(filter_of, world, MODEL, FilterOptions(mover_speed=0.4), math.inf)
+        robot = TrialRobot(world, MODEL, make_filter, blind=True)
+        (episode,) = drive(robot, Constant(np.zeros(2)), seeds=(seed,))
+        assert not episode.info["avoidable"]
+        outcomes.add(episode.info["run_into"])
         world.close()
     assert True in outcomes

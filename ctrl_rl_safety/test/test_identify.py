@@ -18,7 +18,7 @@ pytest.importorskip("sim_bridge")
 from ctrl_rl_safety.identification.drive import STEP, Drive
 from ctrl_rl_safety.identification.fit import fit_drives
 from ctrl_rl_safety.trials.episodes import CAR
-from ctrl_rl_safety.trials.robot import MOTOR_LAG, Base
+from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, Base
 from ctrl_rl_safety.trials.sources import Random
 from ctrl_rl_safety.trials.worlds import room
 from sim_bridge.ros.publishers import fill_odometry
@@ -122,9 +122,9 @@ def test_the_cars_own_constants_hold_for_its_wheels() -> None:
     task = load_navigation_task("car_ttr").model_copy(update={"obstacles": ()})
     world = SimulatedWorld(task, 0, options=SimulationOptions(engine="planar", rate=200))
     source, rows = Random(CAR, 3), []
-    for _ in range(24):
-        command, seconds = source.command(world)
-        for _ in range(round(seconds / STEP)):
+    for _ in range(466):
+        command = source.command()
+        for _ in range(round(TICK / STEP)):
             world.command(0, command)
             world.step(round(STEP * 200))
             reading = world.odometry()

@@ -6,7 +6,9 @@ environment = shielded_environment(task, model)    # the same with the task's ow
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import gymnasium
@@ -16,9 +18,9 @@ from ctrl_rl_learning.sb3.environment import Environment, ScaledObservation, Vec
 from gymnasium import spaces
 
 from ctrl_rl_core import NavigationTask, ScanGeometry
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.models.robot_model import RobotModel
+from ctrl_rl_safety.trials.episodes import filter_of
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TrialRobot
 from ctrl_rl_safety.trials.worlds import with_whole_scan
 from sim_bridge import NavigationEnv, SimulationOptions
@@ -72,11 +74,10 @@ class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
         """Start an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        safety = None
-        if self._options.active:
-            settings = FilterOptions(period=self._options.period, mover_speed=self._options.mover_speed)
-            safety = SafetyFilter(self._model, settings)
-        self._robot = TrialRobot(self._inner.world, self._model, safety, False, self._options.period)
+        world, period = self._inner.world, self._options.period
+        settings = FilterOptions(period=period, mover_speed=self._options.mover_speed)
+        make_filter = partial(filter_of, world, self._model, settings, math.inf) if self._options.active else None
+        self._robot = TrialRobot(world, self._model, make_filter, tick=period)
         return observation, info
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
@@ -84,7 +85,7 @@ class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         assert self._robot is not None, "reset before the first step"
         raw = self._inner.command_of(action)
         ticks, changed = self._robot.ticks, self._robot.changed
-        sent = self._robot.drive(raw, self._inner.task.episode.time_step)
+        sent = self._robot.hold(raw, self._inner.task.episode.time_step)
         observation, reward, terminated, truncated, info = self._inner.result()
         own = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         given = np.clip((sent - self._middle) / self._half, -1.0, 1.0)

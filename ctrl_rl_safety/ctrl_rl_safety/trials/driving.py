@@ -3,85 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from ctrl_rl_core.driving import drive as loop
 from ctrl_rl_core.policies.actor_policy import policy_of
 from numpy.typing import NDArray
 
 from ctrl_rl_core import (
     Actor,
+    Driver,
+    Episodes,
+    Filter,
     NavigationTask,
-    Outcome,
     Policy,
+    PolicyDriver,
     PolicyError,
+    Sensors,
     find_policy,
     load_navigation_task,
     load_policy,
 )
 from ctrl_rl_safety.errors import SafetyError
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions
-from ctrl_rl_safety.models.robot_model import RobotModel, find_model
-from ctrl_rl_safety.trials.episodes import CAR
+from ctrl_rl_safety.trials.episodes import RATE, RATES, filter_of, goal_for, model_of, period_of
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, TrialRobot
-from ctrl_rl_safety.trials.sources import Driver
 from ctrl_rl_safety.trials.worlds import with_whole_scan
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import SimulatedWorld, SimulationOptions, goal_of
 
-_RATES = {"planar": 40}
-_RATE = 240
-
-
-@dataclass(frozen=True)
-class Episodes:
-    """How episodes ended, one element for each seed.
-
-    Attributes:
-        seeds: Seeds of the episodes (N,).
-        outcomes: Names of their outcomes, GOAL, COLLISION, TRAP or TIMEOUT (N,).
-        seconds: Simulated durations (N,) [s].
-        distances: Ways driven (N,) [m].
-        changed: Part of the commands that the filter changed (N,).
-        avoidable: Whether an episode ended by a contact that the robot could have avoided (N,).
-    """
-
-    seeds: NDArray[np.int64]
-    outcomes: tuple[str, ...]
-    seconds: NDArray[np.float64]
-    distances: NDArray[np.float64]
-    changed: NDArray[np.float64]
-    avoidable: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.outcomes)
-
-    @property
-    def success(self) -> float:
-        """Part of the episodes that reached the goal."""
-        return self.rate(Outcome.GOAL)
-
-    @property
-    def collisions(self) -> float:
-        """Part of the episodes that ended by a contact."""
-        return self.rate(Outcome.COLLISION)
-
-    def rate(self, outcome: Outcome) -> float:
-        """Return the part of the episodes that ended so."""
-        return self.outcomes.count(outcome.name) / max(len(self), 1)
+Array = NDArray[np.float64]
 
 
 def drive(
     task: NavigationTask | str | Path,
-    policy: Policy | Actor | str | Path,
+    policy: Policy | Actor | Driver[Sensors] | str | Path,
     seeds: Iterable[int] = range(100),
-    filter: Literal["safety"] | None = None,  # noqa: A002 - the word of the field
+    filter: Literal["safety"] | Filter[Sensors] | None = None,  # noqa: A002 - the word of the field
     *,
     engine: str = "planar",
-) -> Episodes:
-    """Let a policy drive one episode of each seed in its simulated task.
+) -> Episodes[Sensors]:
+    """Let a policy, or any other driver, drive one episode of each seed in a simulated task.
 
     The base moves by the constants of the robot, its lags and delays included, whether there is a filter or not.
 
@@ -92,9 +55,11 @@ def drive(
 
     Args:
         task: Navigation task, its name or its file.
-        policy: Learnt policy, the name of one that comes with the suite, or a file.
+        policy: Learnt policy, the name of one that comes with the suite, a file, or an object with
+            `command(sensors) -> command`, which decides at each scan.
         seeds: Seeds of the episodes.
-        filter: "safety" to put the safety filter between policy and robot, whose lidar then looks all around.
+        filter: "safety" to put the safety filter between policy and robot, whose lidar then looks all around; or a
+            function of sensors and command, called once for each command of the policy.
         engine: Physics engine, one of `sim_bridge.ENGINES`.
 
     Raises:
@@ -102,54 +67,34 @@ def drive(
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
-    driver = _policy(policy)
-    if filter not in (None, "safety"):
-        raise SafetyError(f"no filter '{filter}': there is safety, or None for no filter")
-    on_wheels = task.plane == "xy"
-    if filter is not None and not on_wheels:
-        raise SafetyError(f"task '{task.name}': the safety filter is for robots on wheels, use the flight guard's node")
-    model = _model(task.robot.body) if on_wheels else None
-    seen = task if filter is None else with_whole_scan(task)
-    options = SimulationOptions(engine=engine, rate=_RATES.get(engine, _RATE))
-    if model is not None:
-        options = replace(options, motor_lag=MOTOR_LAG)
-    world = SimulatedWorld(seen, options=options)
-    rows = []
-    chosen = list(seeds)
-    try:
-        for seed in chosen:
-            world.reset(seed)
-            safety = None
-            if model is not None and filter is not None:
-                safety = SafetyFilter(model, FilterOptions(period=TICK))
-            robot, source = TrialRobot(world, model, safety), Driver(driver, task)
-            while not robot.over:
-                robot.drive(*source.command(world))
-            outcome = world.episode().outcome.name
-            rows.append((outcome, world.elapsed, robot.distance, robot.changed / robot.ticks, robot.avoidable))
-    finally:
-        world.close()
-    outcomes, seconds, distances, changed, avoidable = zip(*rows, strict=True) if rows else ((),) * 5
-    return Episodes(
-        np.array(chosen, dtype=np.int64),
-        tuple(outcomes),
-        np.array(seconds, dtype=np.float64),
-        np.array(distances, dtype=np.float64),
-        np.array(changed, dtype=np.float64),
-        np.array(avoidable, dtype=np.bool_),
-    )
-
-
-def _policy(policy: Policy | Actor | str | Path) -> Policy:
     if isinstance(policy, Actor):
-        return policy_of(policy)
-    if isinstance(policy, str | Path):
-        return load_policy(find_policy(str(policy)))
+        policy = policy_of(policy)
+    elif isinstance(policy, str | Path):
+        policy = load_policy(find_policy(str(policy)))
     if not hasattr(policy, "command"):
         raise PolicyError(f"{type(policy).__name__} is no policy: give a learnt one, a name or a file")
-    return policy
+    if isinstance(filter, str) and filter != "safety":
+        raise SafetyError(f"no filter '{filter}': there is safety, or None for no filter")
+    if filter == "safety" and task.plane != "xy":
+        raise SafetyError(f"task '{task.name}': the safety filter is for robots on wheels, use the flight guard's node")
+    model = model_of(task) if task.plane == "xy" else None
+    options = SimulationOptions(engine=engine, rate=RATES.get(engine, RATE))
+    if model is not None:
+        options = replace(options, motor_lag=MOTOR_LAG)
+    driver, period, goal = _driven(policy, task)
+    world = SimulatedWorld(with_whole_scan(task) if filter == "safety" else task, options=options)
+    try:
+        make_filter = None
+        if model is not None and filter == "safety":
+            make_filter = lambda: filter_of(world, model, FilterOptions(period=TICK))  # noqa: E731
+        robot = TrialRobot(world, model, make_filter, period=period, goal=goal)
+        return loop.drive(robot, driver, None if isinstance(filter, str) else filter, seeds)
+    finally:
+        world.close()
 
 
-def _model(body: str) -> RobotModel:
-    """Return the constants by which the base of a task's robot moves."""
-    return CAR if body == "turtlebot2" else find_model(body)
+def _driven(policy: Policy | Driver[Sensors], task: NavigationTask) -> tuple[Driver[Sensors], float, Array | None]:
+    """Return who drives, how long each command holds [s], and the goal that is shown."""
+    if isinstance(policy, Policy):
+        return PolicyDriver(policy), period_of(policy, task), goal_for(policy, task)
+    return policy, round(1.0 / task.lidar.rate / TICK) * TICK, goal_of(task)

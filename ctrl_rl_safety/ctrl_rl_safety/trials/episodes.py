@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ctrl_rl_core.policies.policy import Policy
+import numpy as np
+from numpy.typing import NDArray
 from sim_bridge.simulation.occupancy import draw_map
 
 from ctrl_rl_core import (
+    Driver,
+    Episode,
     NavigationTask,
     Outcome,
+    Policy,
+    PolicyDriver,
+    Sensors,
+    drive,
     find_policy,
     load_navigation_task,
     load_policy,
@@ -20,12 +28,15 @@ from ctrl_rl_core import (
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.sensor_filter import SensorFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.models.robot_model import ROBOTS, RobotModel, find_model
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, TrialRobot
-from ctrl_rl_safety.trials.sources import Driver, FullSpeed, Random, Source
+from ctrl_rl_safety.trials.sources import Constant, Random
 from ctrl_rl_safety.trials.worlds import PLACES, room, with_movers, with_whole_scan
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import SimulatedWorld, SimulationOptions, goal_of
+
+Array = NDArray[np.float64]
 
 ADVERSARIES = ("full_speed", "random", "attacker")
 """Sources that want no good; the last one is a policy that `train --attackers` has learnt against the filter."""
@@ -49,8 +60,8 @@ CAR = RobotModel(
 """The car of `car_ttr` and `car_navigation`. The force of its motors limits speed and turn rate together."""
 _SIZE = 4.0
 """Extent of movers that the filter is told, over the radius of the largest in a task."""
-_RATES = {"planar": 40}
-_RATE = 240
+RATES, RATE = {"planar": 40}, 240
+"""Physics steps per second [Hz] by engine, and those of the others."""
 _WITH_SET = 20
 """Every so many episodes of an adversary have the recoverable set, which takes most of the time; the others rely on the
 fixed escapes alone, as a robot does whose set is late."""
@@ -121,8 +132,22 @@ def task_of(policy: str) -> str:
     return found
 
 
+def trial_outcome(episode: Episode[Sensors]) -> TrialOutcome:
+    """Return the end of an episode of a `TrialRobot`."""
+    info = episode.info
+    return TrialOutcome(
+        episode.seed,
+        episode.outcome,
+        round(info["seconds"], 4),
+        info["avoidable"],
+        info["run_into"],
+        episode.changed,
+        round(info["distance"], 4),
+    )
+
+
 class Player:
-    """Plays the episodes of a cell."""
+    """Plays the episodes of a cell whose robot has wheels."""
 
     def __init__(self, cell: Cell, engine: str, scan_rate: float = 0.0, movers: int = 0) -> None:
         """Load what all episodes need.
@@ -137,14 +162,14 @@ class Player:
             CtrlRlError: There is no such policy, task or robot, or the policy is for another kind of robot.
         """
         self._cell = cell
-        self._options = SimulationOptions(engine=engine, rate=_RATES.get(engine, _RATE), motor_lag=MOTOR_LAG)
+        self._options = SimulationOptions(engine=engine, rate=RATES.get(engine, RATE), motor_lag=MOTOR_LAG)
         self._policy: Policy | None = None
         self._task: NavigationTask | None = None
         if cell.place in PLACES:
             self._model = ROBOTS[cell.robot]
         else:
             self._task = with_movers(with_whole_scan(load_navigation_task(cell.place), scan_rate), movers)
-            self._model = CAR if self._task.robot.body == "turtlebot2" else find_model(self._task.robot.body)
+            self._model = model_of(self._task)
         if cell.guard == "late":
             self._options = SimulationOptions(engine=engine, command_delay=_LATE)
             self._model = replace(self._model, delay=_LATE)
@@ -164,48 +189,67 @@ class Player:
 
     def play(self, seed: int) -> TrialOutcome:
         """Return the end of the episode of a seed; of adversaries only every twentieth has the recoverable set."""
-        cell, model = self._cell, self._model
+        cell, model, policy = self._cell, self._model, self._policy
         task = self._task or room(cell.place, model.name, model, seed)
         if cell.guard == "alone":
             task = task.model_copy(update={"movers": ()})
-        world = SimulatedWorld(task, seed, options=self._options)
-        try:
-            robot = self._robot(world, seed)
-            source = self._source(task, seed)
-            while not robot.over:
-                robot.drive(*source.command(world))
-            return TrialOutcome(
-                seed,
-                world.episode().outcome.name,
-                round(world.elapsed, 4),
-                robot.avoidable,
-                robot.run_into,
-                robot.changed / robot.ticks,
-                round(robot.distance, 4),
-            )
-        finally:
-            world.close()
-
-    def _robot(self, world: SimulatedWorld, seed: int) -> TrialRobot:
-        cell, model = self._cell, self._model
         base: RobotModel | None = None if cell.guard == "late" else model
         if cell.guard == "mismatch":
             base = replace(model, braking=_LESS_BRAKING * model.braking, delay=model.delay + _MORE_DELAY)
-        fastest = max((_fastest(each) for each in world.task.movers), default=0.0)
-        options = FilterOptions(period=TICK, mover_speed=fastest)
-        if self._task is not None and world.task.movers:
-            options = replace(options, mover_size=_SIZE * max(each.radius for each in world.task.movers))
-        safety = None
-        if cell.guard not in UNGUARDED:
-            safety = SafetyFilter(model, options)
-        walls = MapWalls(draw_map(world.task, world.geometry)) if cell.guard == "map" else None
-        with_set = cell.source not in ADVERSARIES or seed % _WITH_SET == 0
-        return TrialRobot(world, base, safety, with_set, walls=walls)
+        world = SimulatedWorld(task, seed, options=self._options)
+        try:
+            make_filter = None if cell.guard in UNGUARDED else lambda: self._filter(world)
+            if policy is None:
+                driver: Driver[Sensors] = (
+                    Constant((model.speed, 0.0)) if cell.source == "full_speed" else Random(model, seed)
+                )
+                robot = TrialRobot(world, base, make_filter, blind=True)
+            else:
+                own = task if self._task is None else load_navigation_task(cell.place)
+                driver = PolicyDriver(policy)
+                robot = TrialRobot(world, base, make_filter, period=period_of(policy, own), goal=goal_for(policy, own))
+            (episode,) = drive(robot, driver, seeds=(seed,))
+            return trial_outcome(episode)
+        finally:
+            world.close()
 
-    def _source(self, task: NavigationTask, seed: int) -> Source:
-        if self._policy is not None:
-            return Driver(self._policy, task if self._task is None else load_navigation_task(self._cell.place))
-        return FullSpeed(self._model) if self._cell.source == "full_speed" else Random(self._model, seed)
+    def _filter(self, world: SimulatedWorld) -> SensorFilter:
+        cell, movers = self._cell, world.task.movers
+        options = FilterOptions(period=TICK, mover_speed=max((_fastest(each) for each in movers), default=0.0))
+        if self._task is not None and movers:
+            options = replace(options, mover_size=_SIZE * max(each.radius for each in movers))
+        walls = MapWalls(draw_map(world.task, world.geometry)) if cell.guard == "map" else None
+        with_set = cell.source not in ADVERSARIES or world.seed % _WITH_SET == 0
+        return filter_of(world, self._model, options, 0.0 if with_set else math.inf, walls)
+
+
+def model_of(task: NavigationTask) -> RobotModel:
+    """Return the constants by which the base of a task's robot moves."""
+    return CAR if task.robot.body == "turtlebot2" else find_model(task.robot.body)
+
+
+def filter_of(
+    world: SimulatedWorld,
+    model: RobotModel,
+    options: FilterOptions,
+    set_period: float = 0.0,
+    walls: MapWalls | None = None,
+) -> SensorFilter:
+    """Return the safety filter of a world's robot, see `SensorFilter`."""
+    robot = world.task.robot.robot
+    assert robot is not None, "a robot on wheels"
+    return SensorFilter(SafetyFilter(model, options), robot.lidar.x, set_period, walls)
+
+
+def period_of(policy: Policy, task: NavigationTask) -> float:
+    """Return the time between two decisions of a policy, a whole number of ticks [s]: its own, or a turn's."""
+    period = 1.0 / task.lidar.rate if policy.period is None else policy.period
+    return round(period / TICK) * TICK
+
+
+def goal_for(policy: Policy, task: NavigationTask) -> Array | None:
+    """Return the middle of a task's goal (3,), where a policy asks for it."""
+    return goal_of(task) if "goal" in policy.needs else None
 
 
 def _fastest(mover: object) -> float:

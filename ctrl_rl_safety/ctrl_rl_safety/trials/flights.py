@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
-from ctrl_rl_core.policies.policy import Policy
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, find_policy, load_policy, task_digest
+from ctrl_rl_core import (
+    Driver,
+    NavigationTask,
+    OdometryReader,
+    Policy,
+    PolicyDriver,
+    Sensors,
+    drive,
+    find_policy,
+    load_policy,
+    task_digest,
+)
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.flight.flight_guard import FlightGuard, FlightOptions
-from ctrl_rl_safety.models.quadrotor_model import QuadrotorModel, quadrotor_of
-from ctrl_rl_safety.trials.episodes import Cell, TrialOutcome
-from ctrl_rl_safety.trials.sources import Driver, Source
+from ctrl_rl_safety.models.quadrotor_model import quadrotor_of
+from ctrl_rl_safety.trials.episodes import Cell, TrialOutcome, goal_for, period_of, trial_outcome
+from ctrl_rl_safety.trials.robot import TrialRobot
+from ctrl_rl_safety.trials.sources import Constant, RandomThrusts
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
@@ -24,31 +34,21 @@ GUARDS = ("none", "filter", "mismatch")
 """With `mismatch` the guard takes the quadrotor for 3 % lighter than it is, and is told by how much it then may err."""
 _LIGHTER = 0.97
 _RATE = 240
-_HELD_S = (0.05, 0.5)
 
 
-class FullThrust:
-    """All the thrust that there is, whatever is there."""
+class GuardFilter:
+    """The guard of planar quadrotors as a filter at the robot."""
 
-    def __init__(self, model: QuadrotorModel) -> None:
-        self._thrusts = np.full(2, model.most)
+    looks = False
 
-    def command(self, world: SimulatedWorld) -> tuple[Array, float]:  # noqa: ARG002, D102 - see Source
-        return self._thrusts, 0.2
+    def __init__(self, guard: FlightGuard) -> None:
+        self._guard, self._read = guard, OdometryReader(("x", "v_x", "z", "v_z", "psi", "omega"))
+        self.changed = False
 
-
-class RandomThrusts:
-    """Random thrusts, each for a random time; half of them equal, so that it flies as well as tumbles."""
-
-    def __init__(self, model: QuadrotorModel, seed: int) -> None:
-        self._least, self._most = model.least, model.most
-        self._random = np.random.default_rng((seed, 9))
-
-    def command(self, world: SimulatedWorld) -> tuple[Array, float]:  # noqa: ARG002, D102 - see Source
-        thrusts = self._random.uniform(self._least, self._most, 2)
-        if self._random.random() < 0.5:
-            thrusts[1] = thrusts[0]
-        return thrusts, round(20.0 * self._random.uniform(*_HELD_S)) / 20.0
+    def __call__(self, sensors: Sensors, command: Array) -> Array:  # noqa: D102 - see Filter
+        verdict = self._guard.decide(self._read(sensors.odometry), command)
+        self.changed = verdict.changed
+        return verdict.thrusts
 
 
 class FlightPlayer:
@@ -87,49 +87,30 @@ class FlightPlayer:
     def play(self, seed: int) -> TrialOutcome:
         """Return the end of the episode of a seed."""
         world = SimulatedWorld(self._task, seed, options=self._options)
+        tick, policy, task = FlightOptions().tick, self._policy, self._task
         try:
-            return self._fly(world, self._source(seed), self._guard(world))
+            make_filter = None if self._cell.guard == "none" else lambda: self._guard(world)
+            if policy is None:
+                robot, driver = TrialRobot(world, None, make_filter, tick=tick, blind=True), self._adversary(seed)
+            else:
+                period, goal = period_of(policy, task), goal_for(policy, task)
+                robot = TrialRobot(world, None, make_filter, tick=tick, period=period, goal=goal)
+                driver = PolicyDriver(policy)
+            (episode,) = drive(robot, driver, seeds=(seed,))
+            return trial_outcome(episode)
         finally:
             world.close()
 
-    def _source(self, seed: int) -> Source:
-        if self._policy is not None:
-            return Driver(self._policy, self._task)
-        return FullThrust(self._model) if self._cell.source == "full_speed" else RandomThrusts(self._model, seed)
+    def _adversary(self, seed: int) -> Driver[Sensors]:
+        if self._cell.source == "full_speed":
+            return Constant(np.full(2, self._model.most))
+        return RandomThrusts(self._model, seed, FlightOptions().tick)
 
-    def _guard(self, world: SimulatedWorld) -> FlightGuard | None:
-        if self._cell.guard == "none":
-            return None
+    def _guard(self, world: SimulatedWorld) -> GuardFilter:
         model = self._model
         if self._cell.guard == "mismatch":
             mass = _LIGHTER * model.mass
             model = replace(model, mass=mass, disturbance=2.0 * model.most * (1.0 / mass - 1.0 / model.mass))
         shapes = (*world.geometry.walls, *world.geometry.obstacles)
         goal = self._task.goal.region if self._policy is not None else None
-        return FlightGuard(model, shapes, goal=goal)
-
-    def _fly(self, world: SimulatedWorld, source: Source, guard: FlightGuard | None) -> TrialOutcome:
-        tick = FlightOptions().tick
-        steps = round(tick * _RATE)
-        ticks = changed = 0
-        distance = 0.0
-        while world.episode().outcome is Outcome.RUNNING:
-            raw, seconds = source.command(world)
-            for _ in range(max(1, round(seconds / tick))):
-                thrusts = raw
-                if guard is not None:
-                    verdict = guard.decide(world.measured_state(), raw)
-                    thrusts = verdict.thrusts
-                    changed += verdict.changed
-                ticks += 1
-                before = world.pose()
-                world.command(0, thrusts)
-                world.step(steps)
-                distance += math.dist(before[:2].tolist(), world.pose()[:2].tolist())
-                if world.episode().outcome is not Outcome.RUNNING:
-                    break
-        end = world.episode().outcome
-        hit = end is Outcome.COLLISION  # or tilted over
-        return TrialOutcome(
-            world.seed, end.name, round(world.elapsed, 4), hit, False, changed / ticks, round(distance, 4)
-        )
+        return GuardFilter(FlightGuard(model, shapes, goal=goal))

@@ -1,4 +1,4 @@
-"""A simulated robot whose base carries out commands as a `RobotModel` does, with or without the filter before it.
+"""A simulated robot whose base carries out commands as a `RobotModel` does, with or without a filter before it.
 
 The model of the base and that of the filter may differ: this is how a trial drives with less braking than the filter
 assumes.
@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import view_scan
 from numpy.typing import NDArray
+from sim_bridge.simulation.robot import begin
 
-from ctrl_rl_core import Outcome
-from ctrl_rl_safety.filter.map_walls import MapWalls
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
-from ctrl_rl_safety.filter.verdict import Mode, Reading
+from ctrl_rl_core import Filter, Outcome, Sensors
 from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speeds
 from ctrl_rl_safety.models.robot_model import RobotModel
-from sim_bridge import SimulatedWorld
+from sim_bridge import RobotSenses, SimulatedWorld
 
 Array = NDArray[np.float64]
 
@@ -67,8 +66,23 @@ class _OwnWheels:
         return self._command
 
 
+class RobotFilter(Filter[Sensors], Protocol):
+    """A filter at the robot, which answers at each tick.
+
+    Attributes:
+        looks: Whether it wants each turn of the lidar.
+        changed: Whether its last answer was another command.
+    """
+
+    looks: bool
+
+    @property
+    def changed(self) -> bool:
+        """Return whether its last answer was another command."""
+
+
 class TrialRobot:
-    """The robot of a world, driven by raw commands.
+    """The robot of a world behind its filter, in Gymnasium's form: one step holds a raw command for a whole period.
 
     Attributes:
         world: World that it drives in.
@@ -80,60 +94,51 @@ class TrialRobot:
     def __init__(
         self,
         world: SimulatedWorld,
-        base: RobotModel | None,
-        safety: SafetyFilter | None,
-        with_set: bool = True,
+        base: RobotModel | None = None,
+        make_filter: Callable[[], RobotFilter] | None = None,
+        *,
+        period: float | None = None,
         tick: float = TICK,
-        walls: MapWalls | None = None,
+        goal: Array | None = None,
+        blind: bool = False,
     ) -> None:
-        """Take the robot of a world that was just reset.
+        """Take the robot of a world.
 
         Args:
-            world: World with one robot on wheels, whose `motor_lag` is `MOTOR_LAG` where the base has constants.
+            world: World with one robot, whose `motor_lag` is `MOTOR_LAG` where the base has constants.
             base: Constants by which its base moves; None for the motors and the delay of the world.
-            safety: Filter before the base; None for none.
-            with_set: Whether the recoverable set is solved at each scan; the filter has its fixed escapes otherwise.
+            make_filter: Makes the filter of an episode; None for no filter.
+            period: Time for which a step holds its command, a whole number of ticks [s]; one tick unless given.
             tick: Time between two answers of the filter [s].
-            walls: Map that the filter has, on which the robot knows its place; None for none.
+            goal: Goal x, y, theta of its driver (3,); None for none.
+            blind: Whether its driver looks at no scan, so that none is taken for it.
         """
-        self.world, self._safety, self._with_set, self._walls = world, safety, with_set, walls
+        self.world, self._model, self._make_filter = world, base, make_filter
+        self._tick, self._period, self._goal, self._looks = tick, tick if period is None else period, goal, not blind
         rate = world.options.rate
-        self._base = _OwnWheels() if base is None else Base(base, 1.0 / rate)
-        self._tick, self._steps = tick, max(1, round(tick * rate))
-        self._turn = max(1, round(rate / world.lidar.spec.rate))
-        robot = world.task.robot.robot
-        assert robot is not None, "a robot on wheels"
-        self._forward = robot.lidar.x
-        self.ticks = self.changed = 0
-        self.distance = 0.0
-        self._stood_at: Array = world.pose()[:2]
-        self._speed = 0.0
-        self._touched: bool | None = None
+        self._steps, self._turn = max(1, round(tick * rate)), max(1, round(rate / world.lidar.spec.rate))
+        self._flies, self._last = world.plane == "xz", world.rest
+        self.ticks, self.changed, self.distance = 0, 0, 0.0
+        self._begin()
 
-    @property
-    def over(self) -> bool:
-        """Whether the episode has ended."""
-        return self.world.episode().outcome is not Outcome.RUNNING
+    def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
+        """Begin the episode of a seed, unless the world stands at its start."""
+        begin(self.world, seed)
+        self._begin()
+        return self._shown(self.world.rest, self._looks), self._info()
 
-    @property
-    def avoidable(self) -> bool:
-        """Whether it ended by a contact that the robot could have avoided.
+    def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
+        """Hold a raw command (2,) for a period, or until the episode ends."""
+        self.hold(command, self._period)
+        outcome = self.world.episode().outcome
+        cut = outcome is Outcome.TIMEOUT
+        return self._shown(command, self._looks and not self.over), 0.0, self.over and not cut, cut, self._info()
 
-        A contact is avoidable unless a mover ran into a robot that stood, or overran the place where it stood last:
-        a robot that then flees in vain would have been met there too.
-        """
-        return self._touched is True
-
-    @property
-    def run_into(self) -> bool:
-        """Whether it ended by a contact that the robot could not avoid."""
-        return self._touched is False
-
-    def drive(self, raw: Array, seconds: float) -> Array:
+    def hold(self, raw: Array, seconds: float) -> Array:
         """Hold a raw command (2,) for a time, or until the episode ends.
 
         Args:
-            raw: Speed [m/s] and turn rate [rad/s].
+            raw: Speed [m/s] and turn rate [rad/s], or thrusts [N].
             seconds: Time, a whole number of ticks [s].
 
         Returns:
@@ -142,11 +147,13 @@ class TrialRobot:
         sent = []
         for _ in range(max(1, round(seconds / self._tick))):
             command = raw
-            if self._safety is not None:
-                command, mode = self._answer(self._safety, raw)
-                self.changed += mode is not Mode.PASSED
+            if self._filter is not None:
+                turned = self.world.steps % self._turn < self._steps  # the first tick after a turn is complete
+                command = self._filter(self._seen(self._last, self._filter.looks and turned, self.world.pose()), raw)
+                self.changed += self._filter.changed
             self.ticks += 1
             sent.append(command)
+            self._last = command
             self._base.send(self.world.elapsed, command)
             self._advance()
             if self.over:
@@ -154,35 +161,63 @@ class TrialRobot:
         mean: Array = np.mean(sent, axis=0)
         return mean
 
-    def _answer(self, safety: SafetyFilter, raw: Array) -> tuple[Array, Mode]:
-        world, now = self.world, self.world.elapsed
-        odometry = world.odometry()
-        if world.steps % self._turn < self._steps:  # the first tick after the lidar's turn is complete
-            scan = world.laser_scan()
-            points = view_scan(scan.ranges, scan.geometry, safety.reach, self._forward).points
-            fixed = None if self._walls is None else self._walls.fixed(world.pose(), odometry.pose)
-            safety.see(now, odometry.pose, points, fixed=fixed)
-            if self._with_set:
-                safety.use(safety.solve())
-        forward, _, turn = odometry.velocity.tolist()
-        verdict = safety.decide(now, Reading(odometry.pose, forward, turn), raw)
-        safety.sent(now, verdict.command)
-        return verdict.command, verdict.mode
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return self.world.episode().outcome is not Outcome.RUNNING
+
+    @property
+    def avoidable(self) -> bool:
+        """Whether it ended by a contact that the robot could have avoided; a quadrotor avoids each, and a tilt.
+
+        A contact is avoidable unless a mover ran into a robot that stood, or overran the place where it stood last:
+        a robot that then flees in vain would have been met there too.
+        """
+        return self._touched is True or (self._flies and self.world.episode().outcome is Outcome.COLLISION)
+
+    @property
+    def run_into(self) -> bool:
+        """Whether it ended by a contact that the robot could not avoid."""
+        return self._touched is False
+
+    def _begin(self) -> None:
+        world = self.world
+        self._base = _OwnWheels() if self._model is None else Base(self._model, 1.0 / world.options.rate)
+        self._filter = None if self._make_filter is None else self._make_filter()
+        self._shown, self._seen = RobotSenses(world, self._goal), RobotSenses(world)
+        self._last, self.ticks, self.changed, self.distance = world.rest, 0, 0, 0.0
+        self._stood_at: Array = world.pose()[:2]
+        self._touched: bool | None = None
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "outcome": self.world.episode().outcome.name,
+            "seconds": self.world.elapsed,
+            "distance": self.distance,
+            "changed": self.changed / max(self.ticks, 1),
+            "avoidable": self.avoidable,
+            "run_into": self.run_into,
+        }
 
     def _advance(self) -> None:
+        """Let a tick pass, or less where the robot touches something."""
         world = self.world
+        before = world.pose()[:2]
         for _ in range(self._steps):
-            before = float(world.velocity()[0])
-            if abs(before) < STANDS:
+            speed = float(world.velocity()[0])
+            if abs(speed) < STANDS:
                 self._stood_at = world.pose()[:2]
             world.command(0, self._base.advance(world.elapsed))
             world.step()
-            self.distance += abs(before) / world.options.rate
+            if not self._flies:
+                self.distance += abs(speed) / world.options.rate
             contact = world.episode().contact
-            if contact is not None and self._touched is None:
-                moved = max(abs(before), abs(float(world.velocity()[0]))) >= _STOOD
+            if contact is not None and self._touched is None and not self._flies:
+                moved = max(abs(speed), abs(float(world.velocity()[0]))) >= _STOOD
                 self._touched = contact.mover is None or (moved and not self._overrun(contact.mover))
                 return
+        if self._flies:
+            self.distance += math.dist(before.tolist(), world.pose()[:2].tolist())
 
     def _overrun(self, mover: int) -> bool:
         states = self.world.movers()

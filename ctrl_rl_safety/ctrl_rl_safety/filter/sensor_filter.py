@@ -1,0 +1,67 @@
+"""The safety filter between a driver and a robot: sensors and a command in, a certified command out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ctrl_rl_core.sensing.pose import planar
+from ctrl_rl_core.sensing.scan import view_scan
+from numpy.typing import NDArray
+
+from ctrl_rl_core import OdometryReader, Sensors
+from ctrl_rl_safety.filter.map_walls import MapWalls
+from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.verdict import Mode, Reading, Verdict
+
+Array = NDArray[np.float64]
+
+_SPEEDS = OdometryReader(("v", "omega"))
+_ROUNDING_S = 1e-6
+
+
+class SensorFilter:
+    """A `ctrl_rl_core` `Filter`: it takes each new scan, and answers each command.
+
+    Args:
+        safety: Filter that has seen nothing yet.
+        lidar_x: Position of the lidar ahead of the robot's middle [m].
+        set_period: Time between two solutions of the recoverable set, each by the last scan [s]; 0 for one with each
+            scan, infinite for none.
+        walls: Map on which the sensors' pose is known; None for none.
+
+    Attributes:
+        looks: Whether it wants each turn of the lidar: always.
+        verdict: Answer to the last command; None before the first.
+    """
+
+    def __init__(
+        self, safety: SafetyFilter, lidar_x: float, set_period: float = 0.0, walls: MapWalls | None = None
+    ) -> None:
+        self._safety, self._lidar_x, self._set_period, self._walls = safety, lidar_x, set_period, walls
+        self._solved_at = -math.inf
+        self.looks = True
+        self.verdict: Verdict | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether the last answer was another command."""
+        return self.verdict is not None and self.verdict.mode is not Mode.PASSED
+
+    def __call__(self, sensors: Sensors, command: Array) -> Array:
+        """Return the certified command nearest to a raw one (2,)."""
+        safety, now = self._safety, sensors.time
+        pose = planar(sensors.odometry[:7].tolist())
+        if sensors.age == 0.0:
+            points = view_scan(sensors.ranges, sensors.scan, safety.reach, self._lidar_x).points
+            fixed = None
+            if self._walls is not None and sensors.pose is not None:
+                fixed = self._walls.fixed(sensors.pose, pose)
+            safety.see(now, pose, points, fixed=fixed)
+            if self._set_period < math.inf and now - self._solved_at >= self._set_period - _ROUNDING_S:
+                self._solved_at = now
+                safety.use(safety.solve())
+        verdict = safety.decide(now, Reading(pose, *_SPEEDS(sensors.odometry).tolist()), command)
+        safety.sent(now, verdict.command)
+        self.verdict = verdict
+        return verdict.command
