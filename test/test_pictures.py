@@ -156,7 +156,7 @@ def test_a_drive_and_a_team(drawn, tmp_path):
     from ctrl_rl_bringup.team.plot import draw_team
     from ctrl_rl_bringup.team.report import TeamRun
     from ctrl_rl_bringup.team.stack import TeamConfig
-    from option_coordinator.environments.timeline import Span
+    from option_coordinator.environments.option_env import Span
 
     from option_coordinator import load_team
 

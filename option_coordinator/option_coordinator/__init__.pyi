@@ -8,10 +8,10 @@ from .environments.tasks import load_option_task as load_option_task
 from .environments.tasks import make_environment as make_environment
 from .errors import OptionError as OptionError
 from .nodes.option_agent import OptionAgent as OptionAgent
-from .options.decision import NONE as NONE
-from .options.decision import Decision as Decision
-from .options.decision import PolicyQuery as PolicyQuery
+from .options.options import NONE as NONE
 from .options.options import Agent as Agent
+from .options.options import Decision as Decision
+from .options.options import PolicyQuery as PolicyQuery
 from .options.options import Simulation as Simulation
 from .options.options import SimulationStep as SimulationStep
 from .policies.joint_policy import JointPolicy as JointPolicy
@@ -30,8 +30,8 @@ from .protocol.option_client import OptionResult as OptionResult
 from .protocol.protocol_types import Grant as Grant
 from .protocol.protocol_types import Request as Request
 from .protocol.protocol_types import Status as Status
-from .protocol.team_settings import CoordinatorTimeouts as CoordinatorTimeouts
-from .protocol.team_settings import RobotSpec as RobotSpec
+from .protocol.team import CoordinatorTimeouts as CoordinatorTimeouts
+from .protocol.team import RobotSpec as RobotSpec
 from .scripted.task_policies import DecisionPolicy as DecisionPolicy
 from .scripted.task_policies import RandomPolicy as RandomPolicy
 from .scripted.task_policies import scripted_policy as scripted_policy

@@ -23,8 +23,7 @@ from ctrl_rl_core.plots import (
 )
 from matplotlib.axes import Axes
 
-from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.environments.timeline import Span
+from option_coordinator.environments.option_env import OptionEnvironment, Span
 from option_coordinator.errors import OptionError
 
 _FRAME_TIME = 0.12

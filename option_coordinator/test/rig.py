@@ -16,8 +16,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from option_coordinator.nodes.messages import EXCHANGE, grant_of, request_message, request_of, status_message
-from option_coordinator.protocol.message_checks import MessageError
-from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
+from option_coordinator.protocol.protocol_types import AgentState, GrantStatus, MessageError
 from policies import random_tensors
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter

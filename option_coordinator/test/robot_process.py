@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 from ctrl_rl_core.ros.node import ok
-from option_coordinator.nodes.clocks import STEADY, Clocks
+from option_coordinator.nodes.option_agent import STEADY, Clocks
 
 from ctrl_rl_core import Parameter, SuiteNode, run_node
 from option_coordinator import AgentObservation, ClientTimeouts, OptionAgent, OptionResult

@@ -11,7 +11,7 @@ import pytest
 from ctrl_rl_core.plots import style
 from matplotlib import pyplot as plt
 from option_coordinator.cli import replay
-from option_coordinator.environments.timeline import Span
+from option_coordinator.environments.option_env import Span
 from option_coordinator.plots import draw_replay, draw_spans, draw_timeline
 from option_coordinator.training.cli.learning import evaluate, plot, train, training_figures
 from option_coordinator.training.parallel_environment import ParallelOptions

@@ -12,8 +12,7 @@ from option_coordinator.training.cli.learning import train
 from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.runs import OptionRun
 from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.learners.imitation import Imitation
-from option_coordinator.training.learners.learner import decision_batch
+from option_coordinator.training.learners.learner import Imitation, decision_batch
 from option_coordinator.training.learners.mappo import Mappo
 from team_bag import TeamBag, play_into
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
+from option_coordinator.navigation.delivery import STAND, Delivery, ReactivePlanner, scan_points
 from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.scripted.policy_queries import spread_policy, uniform_policy
 from option_coordinator.teams.team_file import FOLDER

@@ -10,9 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from option_coordinator.nodes.messages import StepMessages, grant_message, grant_of, heartbeat_of, request_of, status_of
 from option_coordinator.protocol.clock_reading import TaskTime
 from option_coordinator.protocol.election import Epochs
-from option_coordinator.protocol.journal import Journal
-from option_coordinator.protocol.message_checks import MessageError
-from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus
+from option_coordinator.protocol.grants import Journal
+from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus, MessageError
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest

@@ -19,10 +19,9 @@ from option_coordinator.options.options import Scene
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
-from option_coordinator.training.heads.value import ValueNetwork
-from option_coordinator.training.learners.epsilon_greedy import EpsilonGreedy
+from option_coordinator.training.heads.head_parts import ValueNetwork
 from option_coordinator.training.learners.learner import decision_batch
-from option_coordinator.training.learners.mac_dqn import MacDqn
+from option_coordinator.training.learners.mac_dqn import EpsilonGreedy, MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
 
 from ctrl_rl_core import CtrlRlError

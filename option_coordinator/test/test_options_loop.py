@@ -14,9 +14,8 @@ from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.closed_loop import CarelessScript, play
 from option_coordinator.training.experiments.offline_evaluation import evaluate_offline
 from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.learners.imitation import Imitation
-from option_coordinator.training.learners.learner import decision_batch
-from option_coordinator.training.learners.weighted_imitation import WeightedImitation
+from option_coordinator.training.learners.learner import Imitation, decision_batch
+from option_coordinator.training.learners.mappo import WeightedImitation
 
 from ctrl_rl_core import CtrlRlError
 from option_coordinator import OptionTrajectory

@@ -5,7 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.environments.robot_dropout import draw_dropout
+from option_coordinator.environments.option_env import draw_dropout
 from option_coordinator.environments.roll_out import RollOut
 from option_coordinator.options.options import Scene
 from option_coordinator.policies.policy_file import HEADS, make_policy

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
-from option_coordinator.environments.timeline import Span
+from option_coordinator.environments.option_env import Span
 from option_coordinator.protocol.protocol_types import GrantStatus
 
 from ctrl_rl_bags import BagError, bag_info, read_messages

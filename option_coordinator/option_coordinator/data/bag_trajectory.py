@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from ctrl_rl_bags import bag_info, read_messages
 from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent, Mask, Observation, option_mask
+from option_coordinator.options.options import NONE, Agent, Mask, Observation, option_mask
 
 TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
 

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from ctrl_rl_bags.recording.message_types import message_definition
-from ctrl_rl_bags.recording.message_types import typestore
+from ctrl_rl_bags.recording.message_types import message_definition, typestore
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagWriter, Topic
 from option_coordinator.data.bag_trajectory import TYPE
-from option_coordinator.options.decision import Decision
+from option_coordinator.options.options import Decision
 
 TOPIC = "/joint_option_step"
 _BEGIN_NS, _SECOND_NS = 10**12, 10**9

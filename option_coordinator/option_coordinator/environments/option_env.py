@@ -15,15 +15,95 @@ The termination strategy says which agents are ready (thesis 2.4.3):
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from option_coordinator.environments.robot_dropout import RobotDropout, draw_dropout
-from option_coordinator.environments.timeline import Trace
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE, Decision
-from option_coordinator.options.options import Mask, Observation, Scene, Simulation, check_option, option_mask
+from option_coordinator.options.options import (
+    NONE,
+    Decision,
+    Mask,
+    Observation,
+    Scene,
+    Simulation,
+    check_option,
+    option_mask,
+)
+
+_PART = 4
+
+
+class RobotDropout(NamedTuple):
+    """A period in which a robot is absent.
+
+    Attributes:
+        agent: Index of the robot.
+        begin: Low-level step after which the robot is absent.
+        end: Low-level step after which it is present again, without an option.
+    """
+
+    agent: int
+    begin: int
+    end: int
+
+
+def draw_dropout(chance: float, agents: int, step_limit: int, generator: np.random.Generator) -> RobotDropout | None:
+    """Return the drop-out of an episode, None for none.
+
+    Args:
+        chance: Probability of a drop-out, 0 to 1.
+        agents: Number of robots; each is as likely to drop out.
+        step_limit: Step limit of the episode; a drop-out begins in its first quarter and lasts a quarter at most.
+        generator: Random generator; unused if the probability is 0.
+    """
+    if chance == 0.0 or generator.random() >= chance:
+        return None
+    longest = max(1, step_limit // _PART)
+    begin = 1 + int(generator.integers(longest))
+    return RobotDropout(int(generator.integers(agents)), begin, begin + 1 + int(generator.integers(longest)))
+
+
+class Span(NamedTuple):
+    """One run of an option.
+
+    Attributes:
+        agent: Name of the robot.
+        option: Name of the option.
+        begin: Low-level step at which it began; a time [s] in a recording of robots.
+        end: Low-level step at which it ended; a time [s] in a recording of robots.
+        finished: Whether it ended by itself, neither interrupted nor cut off with the episode.
+    """
+
+    agent: str
+    option: str
+    begin: float
+    end: float
+    finished: bool
+
+
+@dataclass
+class Trace:
+    """The options of an episode, in the order in which they ended."""
+
+    spans: list[Span] = field(default_factory=list)
+    _open: dict[str, tuple[str, int]] = field(default_factory=dict)
+
+    def begin(self, agent: str, option: str, step: int) -> None:
+        """Note that an agent begins an option."""
+        self._open[agent] = (option, step)
+
+    def end(self, agent: str, step: int, finished: bool) -> None:
+        """Note that it ended, or was interrupted."""
+        option, begin = self._open.pop(agent)
+        self.spans.append(Span(agent, option, begin, step, finished))
+
+    def close(self, step: int) -> None:
+        """Note that the episode is over."""
+        for agent in list(self._open):
+            self.end(agent, step, finished=False)
+
 
 Synchronisation = Literal["async", "wait", "cut"]
 

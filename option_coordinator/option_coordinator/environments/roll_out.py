@@ -10,7 +10,7 @@ import numpy as np
 
 from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.environments.option_env import OptionEnvironment
-from option_coordinator.options.decision import Decision
+from option_coordinator.options.options import Decision
 from option_coordinator.policies.joint_policy import JointPolicy
 
 

@@ -1,12 +1,106 @@
-"""The work of one robot of a delivery team: options apart from driving, and their rewards."""
+"""The work of one robot of a delivery team: its options, their rewards, and a reactive planner that drives it."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
+from ctrl_rl_core.sensing.scan import ScanGeometry, echoes
+from ctrl_rl_core.tasks.regions import wrap
 from numpy.typing import NDArray
 
 from option_coordinator.protocol.option_client import AgentObservation, OptionResult
 from option_coordinator.teams.team_file import TeamFile, Work
+
+Array = NDArray[np.float64]
+
+STAND = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ReactivePlanner:
+    """Plans speed and turn rate towards a goal.
+
+    Attributes:
+        speed: Largest forward speed [m/s].
+        turn: Largest turn rate [rad/s].
+        half_width: Half the width of the strip that must be free of obstacles [m].
+        look_ahead: Distance for which the way must be free [m].
+        stop: Distance from the robot's centre to an obstacle in front at which it stops [m].
+        arrived: Distance to the goal at which the robot has arrived [m].
+    """
+
+    speed: float = 0.2
+    turn: float = 1.5
+    half_width: float = 0.24
+    look_ahead: float = 0.55
+    stop: float = 0.27
+    arrived: float = 0.08
+
+    def there(self, pose: Array, place: tuple[float, float]) -> bool:
+        """Return whether a pose x, y, theta (3,) is at the goal."""
+        return math.hypot(place[0] - pose[0], place[1] - pose[1]) <= self.arrived
+
+    def command(self, pose: Array, points: Array, place: tuple[float, float]) -> tuple[float, float]:
+        """Return speed [m/s] and turn rate [rad/s].
+
+        The direction is the free one that is nearest to the place's, that to the right first: two that meet pass.
+
+        Args:
+            pose: Pose x, y [m], theta [rad] (3,).
+            points: Points seen by the lidar, in the frame of the pose (n, 2) [m].
+            place: Goal position [m].
+        """
+        points = _seen_from(pose, points)
+        dx, dy = place[0] - pose[0], place[1] - pose[1]
+        distance, bearing = math.hypot(dx, dy), float(wrap(math.atan2(dy, dx) - pose[2]))
+        if distance <= self.arrived:
+            return STAND
+        direction = self._free_direction(points, bearing, min(distance, self.look_ahead))
+        if direction is None:
+            return 0.0, -0.5 * self.turn
+        turn = float(np.clip(2.5 * direction, -self.turn, self.turn))
+        speed = min(self.speed, distance) * max(0.0, math.cos(direction)) ** 3
+        if abs(direction) > 1.0 or self._nearest(points, 0.0) < self.stop:
+            speed = 0.0
+        return speed, turn
+
+    def _free_direction(self, points: Array, bearing: float, reach: float) -> float | None:
+        """Return the direction nearest to a bearing in which the way is free, where none is then for half as far."""
+        for far in (reach, 0.5 * reach):
+            for offset in np.deg2rad(np.arange(0, 111, 10)):
+                for direction in (bearing - offset, bearing + offset):
+                    if self._nearest(points, direction) > far:
+                        return float(wrap(direction))
+        return None
+
+    def _nearest(self, points: Array, direction: float) -> float:
+        """Return how far the strip in a direction is free [m]."""
+        c, s = math.cos(direction), math.sin(direction)
+        along, aside = c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]
+        inside = along[(np.abs(aside) < self.half_width) & (along > 0.0)]
+        return float(inside.min()) if len(inside) else math.inf
+
+
+def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Array:
+    """Return what a scan saw as points (n, 2) [m] in the frame of the pose: there they stay while the robot turns.
+
+    Args:
+        pose: Pose x, y [m], theta [rad] (3,) of the robot at the time of the scan.
+        ranges: Ranges as in REP-117 (beams,) [m].
+        scan: Bearings and limits of the beams.
+        forward: Position of the lidar ahead of the robot's centre [m].
+    """
+    points = echoes(ranges, scan, math.inf, forward)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))))
+
+
+def _seen_from(pose: Array, points: Array) -> Array:
+    """Return points in the robot's frame, x ahead."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.asarray((points - pose[:2]) @ np.array(((c, -s), (s, c))))
 
 
 class Delivery:

@@ -17,7 +17,6 @@ from rclpy.duration import Duration
 from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.errors import OptionError
-from option_coordinator.nodes.clocks import STEADY, Clocks, steady_time
 from option_coordinator.nodes.messages import (
     EXCHANGE,
     StepMessages,
@@ -27,16 +26,16 @@ from option_coordinator.nodes.messages import (
     request_in,
     status_of,
 )
-from option_coordinator.options.decision import PolicyQuery
+from option_coordinator.nodes.option_agent import STEADY, Clocks, steady_time
+from option_coordinator.options.options import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.policies.policy_query import PolicyFn, learned_policy_fn
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
-from option_coordinator.protocol.message_checks import LONGEST_NAME, MessageError
-from option_coordinator.protocol.protocol_types import Answers, Request
+from option_coordinator.protocol.protocol_types import LONGEST_NAME, Answers, MessageError, Request
 from option_coordinator.protocol.replica import LATE
-from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
+from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec
 from option_coordinator.scripted.policy_queries import SCRIPTED, spread_policy, uniform_policy
 from option_coordinator.teams.team_file import load_team
 

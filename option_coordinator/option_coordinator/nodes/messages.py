@@ -15,15 +15,18 @@ from std_msgs.msg import Header
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.options.options import Agent, option_mask
-from option_coordinator.protocol.message_checks import LARGEST_REQUEST, AtMost, MessageError, checks_of
 from option_coordinator.protocol.protocol_types import (
+    LARGEST_REQUEST,
     AgentState,
+    AtMost,
     CoordinatorHeartbeat,
     Grant,
     GrantStatus,
     JointStep,
+    MessageError,
     Request,
     Status,
+    checks_of,
 )
 
 EXCHANGE = QoSProfile(depth=1000)

@@ -21,8 +21,7 @@ from ctrl_rl_core import (
     VelocityError,
     run_node,
 )
-from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import STAND, ReactivePlanner, scan_points
+from option_coordinator.navigation.delivery import STAND, Delivery, ReactivePlanner, scan_points
 from option_coordinator.nodes.option_agent import OptionAgent
 from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionResult
 from option_coordinator.teams.team_file import load_team

@@ -18,15 +18,44 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.node import Node
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
-from option_coordinator.nodes.clocks import STEADY, Clocks
 from option_coordinator.nodes.messages import EXCHANGE, grant_of, heartbeat_of, request_message, status_message
-from option_coordinator.protocol.clock_reading import ClockReading
-from option_coordinator.protocol.message_checks import MessageError
+from option_coordinator.protocol.clock_reading import ClockReading, TaskTime
 from option_coordinator.protocol.option_client import ClientTimeouts, OptionClient, OptionExecutor, OptionResult
-from option_coordinator.protocol.protocol_types import AgentState, Request
+from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request
+
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""Clock of timers that go on while the ROS clock is set or paused."""
+
+
+def steady_time() -> float:
+    """Return the time since boot [s], which nobody sets and which goes on while the machine sleeps."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class Clocks:
+    """Reads the clocks of a node.
+
+    Args:
+        node: Node whose ROS clock is read.
+
+    Attributes:
+        task: Time in the robots' world, which also counts how often the ROS clock was set.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self.task = TaskTime()
+
+    def __call__(self) -> ClockReading:
+        """Return the current times."""
+        stamp = 1e-9 * float(self._clock.now().nanoseconds)
+        steady = steady_time()
+        simulated = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
+        return ClockReading(steady, self.task(stamp, steady, simulated), stamp)
 
 
 class OptionAgent:

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE, PolicyQuery
-from option_coordinator.options.options import Mask, option_mask
+from option_coordinator.options.options import NONE, Mask, PolicyQuery, option_mask
 
 Array = NDArray[np.floating]
 JointOptions = NDArray[np.int64]

@@ -21,15 +21,10 @@ from pydantic import Field
 
 from ctrl_rl_core import atomic_write
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE, Decision
-from option_coordinator.options.options import Agent
-from option_coordinator.policies.autoregressive import Autoregressive
+from option_coordinator.options.options import NONE, Agent, Decision
 from option_coordinator.policies.joint_policy import JointPolicy
-from option_coordinator.policies.joint_table import JointTable
-from option_coordinator.policies.mixture import Mixture
-from option_coordinator.policies.network import Tensors, part
-from option_coordinator.policies.partial import Partial
-from option_coordinator.policies.presence import Presence
+from option_coordinator.policies.network import Autoregressive, JointTable, Mixture, Tensors, part
+from option_coordinator.policies.partial import Partial, Presence
 
 FORMAT = "option-policy-1"
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from option_coordinator.options.decision import PolicyQuery
+from option_coordinator.options.options import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
 

@@ -11,19 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import NONE
 from option_coordinator.policies.policy_query import PolicyFn, query_with_fallback
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.grants import (
     NOTHING_SAFE,
     NUMBER_LEAPS,
     TASK_OVER,
+    Journal,
     Refusal,
     refusal_of,
     refused_grant,
     standing_grant,
 )
-from option_coordinator.protocol.journal import Journal
 from option_coordinator.protocol.ledger import Entry, State
 from option_coordinator.protocol.protocol_types import (
     AgentState,
@@ -36,8 +36,7 @@ from option_coordinator.protocol.protocol_types import (
     Status,
 )
 from option_coordinator.protocol.replica import Replica
-from option_coordinator.protocol.team_query import TeamQuery
-from option_coordinator.protocol.team_settings import CoordinatorTimeouts, RobotSpec
+from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec, TeamQuery
 
 
 class Coordinator(Replica):

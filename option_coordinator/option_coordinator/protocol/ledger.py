@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE
+from option_coordinator.options.options import NONE
 from option_coordinator.protocol.protocol_types import Request, Status
 
 MOST_UNHEARD = 1000

@@ -17,7 +17,7 @@ from option_coordinator.protocol.election import Election
 from option_coordinator.protocol.grants import UNKNOWN_ROBOT, Refusal
 from option_coordinator.protocol.ledger import Entry, State
 from option_coordinator.protocol.protocol_types import Answers, CoordinatorHeartbeat, Request, Status, same_team
-from option_coordinator.protocol.team_settings import CoordinatorTimeouts
+from option_coordinator.protocol.team import CoordinatorTimeouts
 
 LATE = 0.5
 """Time without a tick after which a coordinator listens before it goes on [leases]."""

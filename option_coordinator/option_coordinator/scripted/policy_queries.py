@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from option_coordinator.options.decision import PolicyQuery
+from option_coordinator.options.options import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_query import PolicyFn
-from option_coordinator.protocol.team_settings import RobotSpec
+from option_coordinator.protocol.team import RobotSpec
 
 SCRIPTED = ("spread", "uniform")
 """Their names."""

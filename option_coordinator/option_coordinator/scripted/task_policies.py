@@ -19,8 +19,7 @@ from option_coordinator.environments.tasks.tool_delivery import (
     ToolDeliverySimulation,
 )
 from option_coordinator.environments.tasks.water_filling import WaterFillingSimulation
-from option_coordinator.options.decision import Decision
-from option_coordinator.options.options import Agent
+from option_coordinator.options.options import Agent, Decision
 from option_coordinator.scripted.policy_queries import spread_policy
 from option_coordinator.teams.team_file import TeamFile
 

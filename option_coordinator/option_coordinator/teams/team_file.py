@@ -22,7 +22,7 @@ from pydantic import Field, PrivateAttr, Strict, model_validator
 from ctrl_rl_core import CtrlRlError, NavigationTask, load_navigation_task, task_names
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
-from option_coordinator.protocol.team_settings import RobotSpec
+from option_coordinator.protocol.team import RobotSpec
 
 FOLDER = FilePath(__file__).parent
 KIND = "team_delivery"

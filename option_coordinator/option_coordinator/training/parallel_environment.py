@@ -17,7 +17,7 @@ from pettingzoo import ParallelEnv
 
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import NONE, Decision
+from option_coordinator.options.options import NONE, Decision
 
 AgentDict = dict[str, NDArray[Any]]
 

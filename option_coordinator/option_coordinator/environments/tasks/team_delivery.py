@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Disc, Shape, draw_starts, load_navigation_task
-from option_coordinator.navigation.delivery import Delivery
-from option_coordinator.navigation.reactive_planner import ReactivePlanner
+from option_coordinator.navigation.delivery import Delivery, ReactivePlanner
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
 from option_coordinator.teams.team_file import TeamFile, Work
 

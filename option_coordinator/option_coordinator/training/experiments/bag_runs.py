@@ -29,14 +29,11 @@ from option_coordinator.environments.tasks import make_environment
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.experiments.checkpoint import Checkpoints
 from option_coordinator.training.experiments.evaluation import evaluate
+from option_coordinator.training.experiments.runs import Checkpoints
 from option_coordinator.training.heads.heads import as_numpy
-from option_coordinator.training.learners.gradient_learner import GradientLearner
-from option_coordinator.training.learners.imitation import Imitation
-from option_coordinator.training.learners.learner import Learner
-from option_coordinator.training.learners.mappo import Mappo
-from option_coordinator.training.learners.weighted_imitation import WeightedImitation
+from option_coordinator.training.learners.learner import GradientLearner, Imitation, Learner
+from option_coordinator.training.learners.mappo import Mappo, WeightedImitation
 
 Way = Literal["mappo", "imitation", "weighted"]
 ROUNDS: Mapping[Way, int] = {"mappo": 3, "imitation": 20, "weighted": 20}

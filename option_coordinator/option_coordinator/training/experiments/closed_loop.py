@@ -24,7 +24,7 @@ from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.roll_out import OptionEpisode, play_episodes
 from option_coordinator.environments.tasks import make_environment
-from option_coordinator.options.decision import Decision
+from option_coordinator.options.options import Decision
 from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.scripted.task_policies import DecisionPolicy, RandomPolicy, scripted_policy
 from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun

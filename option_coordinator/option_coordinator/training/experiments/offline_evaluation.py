@@ -19,9 +19,9 @@ from torch import Tensor
 from option_coordinator.data.bag_trajectory import Recording, TeamLayout
 from option_coordinator.data.trajectory import OptionTrajectory
 from option_coordinator.errors import OptionError
-from option_coordinator.options.decision import PolicyQuery
+from option_coordinator.options.options import PolicyQuery
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.heads.value import ValueNetwork
+from option_coordinator.training.heads.head_parts import ValueNetwork
 
 Array = NDArray[np.float64]
 _DRAWS = 4

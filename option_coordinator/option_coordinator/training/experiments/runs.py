@@ -5,7 +5,7 @@ result = train(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/opt
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell, find_method
+from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
 
 from ctrl_rl_core import task_digest
 from option_coordinator.environments.option_env import OptionEnvironment
@@ -23,13 +25,37 @@ from option_coordinator.environments.tasks import OptionTask, discount_of, load_
 from option_coordinator.environments.tasks.water_filling import Sight
 from option_coordinator.errors import OptionError
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.experiments.checkpoint import Checkpoints
 from option_coordinator.training.experiments.evaluation import evaluate, summary
 from option_coordinator.training.experiments.methods import METHODS, Method
 from option_coordinator.training.heads.heads import as_numpy
 from option_coordinator.training.learners.learner import Learner
 from option_coordinator.training.learners.mac_dqn import MacDqn
 from option_coordinator.training.learners.mappo import Mappo
+
+_MEMORY = "memory."
+
+
+class Checkpoints:
+    """The part of a `Learning` that saves and loads its learner."""
+
+    _learner: Learner
+
+    def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
+        """Write a checkpoint; `progress` is what else to go on with, as JSON."""
+        arrays = state_arrays(self._learner.networks, self._learner.optimizers)
+        arrays |= {f"{_MEMORY}{name}": array for name, array in self._learner.memory().items()}
+        save_arrays(path, arrays, progress)
+
+    def load(self, path: Path, /) -> dict[str, Any]:
+        """Bring the new learner to where a checkpoint was and return the progress.
+
+        Raises:
+            Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.
+        """
+        arrays, progress = load_arrays(path)
+        restore_state(self._learner.networks, self._learner.optimizers, arrays)
+        self._learner.recall({n.removeprefix(_MEMORY): a for n, a in arrays.items() if n.startswith(_MEMORY)})
+        return progress
 
 
 @dataclass(frozen=True)

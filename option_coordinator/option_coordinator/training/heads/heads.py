@@ -13,8 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from option_coordinator.options.decision import NONE
-from option_coordinator.options.options import Agent
+from option_coordinator.options.options import NONE, Agent
 from option_coordinator.training.heads.head_parts import (
     HEAD_GAIN,
     HIDDEN,
@@ -44,7 +43,7 @@ class _Head(nn.Module):
 
 
 class TableHead(_Head):
-    """`option_coordinator.policies.joint_table.JointTable`."""
+    """`option_coordinator.policies.network.JointTable`."""
 
     cells: Tensor
     strides: Tensor
@@ -89,7 +88,7 @@ class TableHead(_Head):
 
 
 class MixtureHead(_Head):
-    """`option_coordinator.policies.mixture.Mixture`."""
+    """`option_coordinator.policies.network.Mixture`."""
 
     cells: Tensor | None
     option_mask: Tensor
@@ -138,7 +137,7 @@ class MixtureHead(_Head):
 
 
 class AutoregressiveHead(_Head):
-    """`option_coordinator.policies.autoregressive.Autoregressive`."""
+    """`option_coordinator.policies.network.Autoregressive`."""
 
     def __init__(self, observation_size: int, counts: Sequence[int]) -> None:
         super().__init__(observation_size, counts)

@@ -1,10 +1,11 @@
-"""The interface of learners of joint options."""
+"""The interface of learners of joint options, the base of those that learn in minibatches, and imitation."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -13,9 +14,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from option_coordinator.data.trajectory import OptionTrajectory
+from option_coordinator.options.options import Agent
 from option_coordinator.policies.joint_policy import JointPolicy
-from option_coordinator.policies.presence import with_presence
+from option_coordinator.policies.partial import with_presence
+from option_coordinator.policies.policy_file import make_policy
 from option_coordinator.training.heads.head_parts import DecisionBatch
+from option_coordinator.training.heads.heads import as_numpy, make_head
 
 
 class Learner(ABC):
@@ -75,3 +79,93 @@ def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> Deci
 def as_tensor(array: NDArray[np.floating]) -> Tensor:
     """Return an array as a tensor of torch's default type."""
     return torch.from_numpy(array).to(torch.get_default_dtype())
+
+
+Rows = Tensor | slice
+"""Rows of a batch."""
+
+
+class GradientLearner(Learner):
+    """Has a joint policy, which explores by its own draws, and one optimiser; `settings` name epochs and minibatch.
+
+    Args:
+        agents: Agents whose options are learned.
+        head: Kind of joint policy, a key of `HEADS`.
+        partial: Whether each agent has a policy of its own (Eq. 5.5).
+        settings: Settings of the algorithm; the defaults unless given.
+        presence: Whether its networks are told which agents are present.
+    """
+
+    SETTINGS: ClassVar[type[Any]]
+    ADAM_EPSILON = 1e-8
+    greedy = False
+
+    def __init__(
+        self, agents: Sequence[Agent], head: str, partial: bool = False, settings: Any = None, presence: bool = False
+    ) -> None:
+        counts = tuple(len(agent.options) for agent in agents)
+        self.settings = settings or self.SETTINGS()
+        self.presence = presence
+        self.network = make_head(head, agents, partial, presence)
+        self.networks = {"policy": self.network, **self.other_networks(agents)}
+        parameters = [parameter for network in self.networks.values() for parameter in network.parameters()]
+        adam = torch.optim.Adam(parameters, self.settings.learning_rate, eps=self.ADAM_EPSILON, fused=True)
+        self.optimizers = {"optimizer": adam}
+        self._policy = make_policy(head, as_numpy(self.network), counts, partial, presence)
+
+    def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it explores by its own draws
+        """Return the policy, which goes on changing as it learns."""
+        return self._policy
+
+    def other_networks(self, agents: Sequence[Agent]) -> Mapping[str, nn.Module]:  # noqa: ARG002 - most have none
+        """Return the networks by name that it learns besides the policy's."""
+        return {}
+
+    def minibatches(self, steps: int, generator: np.random.Generator) -> Iterator[Rows]:
+        """Yield the rows of a batch of so many steps `epochs` times, in random parts of about `minibatch`, or all."""
+        count = round(steps / self.settings.minibatch)
+        for _ in range(self.settings.epochs):
+            if count <= 1:
+                yield slice(None)
+                continue
+            for rows in np.array_split(generator.permutation(steps), count):
+                yield torch.from_numpy(rows)
+
+
+@dataclass(frozen=True)
+class ImitationSettings:
+    """Settings of behaviour cloning.
+
+    Attributes:
+        learning_rate: Learning rate of Adam.
+        epochs: Number of passes over the data in a call of `learn`.
+        minibatch: Approximate number of option steps of a minibatch.
+    """
+
+    learning_rate: float = 5e-4
+    epochs: int = 10
+    minibatch: int = 256
+
+
+class Imitation(GradientLearner):
+    """Raises log pi-hat(o_U | o_not-U, s) of what was chosen, whatever it brought."""
+
+    SETTINGS = ImitationSettings
+
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from what was chosen.
+
+        Returns:
+            `log_prob` of it and `entropy`, means of the last minibatch [nat].
+        """
+        decisions = decision_batch(trajectory, self.presence)
+        figures: dict[str, float] = {}
+        (optimizer,) = self.optimizers.values()
+        for rows in self.minibatches(len(trajectory), generator):
+            score = self.network(decisions.at(rows))
+            log_prob = score.log_prob.mean()
+            optimizer.zero_grad()
+            (-log_prob).backward()
+            optimizer.step()
+            figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
+        return figures

@@ -12,11 +12,9 @@ from torch import Tensor, nn
 
 from option_coordinator.data.trajectory import OptionTrajectory, advantages
 from option_coordinator.options.options import Agent
-from option_coordinator.policies.presence import with_presence
-from option_coordinator.training.heads.head_parts import DecisionBatch
-from option_coordinator.training.heads.value import ValueNetwork
-from option_coordinator.training.learners.gradient_learner import GradientLearner, Rows
-from option_coordinator.training.learners.learner import as_tensor, decision_batch
+from option_coordinator.policies.partial import with_presence
+from option_coordinator.training.heads.head_parts import DecisionBatch, ValueNetwork
+from option_coordinator.training.learners.learner import GradientLearner, Rows, as_tensor, decision_batch
 
 
 @dataclass(frozen=True)
@@ -127,3 +125,45 @@ class _Batch(NamedTuple):
         """Return the given rows."""
         decisions, *rest = self
         return _Batch(decisions.at(rows), *(part[rows] for part in rest))
+
+
+@dataclass(frozen=True)
+class WeightedImitationSettings(MappoSettings):
+    """Settings of weighted imitation, beside MAPPO's for the value.
+
+    Attributes:
+        temperature: Advantage that multiplies a weight by e, in standard deviations.
+        largest_weight: Limit of a weight.
+    """
+
+    temperature: float = 0.5
+    largest_weight: float = 20.0
+
+
+class WeightedImitation(Mappo):
+    """Raises log pi-hat(o_U | o_not-U, s) of the options that brought more than the value expected."""
+
+    SETTINGS = WeightedImitationSettings
+
+    def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
+        """Learn from recorded options.
+
+        Returns:
+            `log_prob` of the options, weighted, `entropy`, and `value_loss`, of the last minibatch.
+        """
+        settings: WeightedImitationSettings = self.settings
+        figures: dict[str, float] = {}
+        everything = self._batch(trajectory)
+        for rows in self.minibatches(len(trajectory), generator):
+            batch = everything.at(rows)
+            score = self.network(batch.decisions)
+            weights = torch.exp(batch.gain / settings.temperature).clamp(max=settings.largest_weight)
+            log_prob = (weights * score.log_prob).sum() / weights.sum()
+            value_loss = self._value_loss(batch)
+            self.descend(value_loss - log_prob)  # they share no parameter
+            figures = {
+                "log_prob": float(log_prob.detach()),
+                "entropy": float(score.entropy.mean().detach()),
+                "value_loss": float(value_loss.detach()),
+            }
+        return figures

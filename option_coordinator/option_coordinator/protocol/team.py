@@ -1,0 +1,96 @@
+"""A team as its coordinator knows it: robots, waiting times, and the query of a decision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from option_coordinator.errors import OptionError
+from option_coordinator.options.options import NONE, Agent, PolicyQuery, option_mask
+from option_coordinator.protocol.ledger import Entry
+from option_coordinator.protocol.protocol_types import LONGEST, Request
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A robot with the durations and the safe option that a coordinator must know.
+
+    Attributes:
+        agent: Name, options and observation size.
+        durations: Longest time that each of its options may take [s].
+        safe_option: Index of the option that it is granted if the policy fails.
+    """
+
+    agent: Agent
+    durations: tuple[float, ...]
+    safe_option: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.durations) != len(self.agent.options) or not all(0.0 < d <= LONGEST for d in self.durations):
+            raise OptionError(
+                f"'{self.agent.name}': durations must be positive, at most {LONGEST:g} s, one for each option"
+            )
+        if not 0 <= self.safe_option < len(self.durations):
+            raise OptionError(f"'{self.agent.name}': safe option {self.safe_option} is none of its options")
+
+
+@dataclass(frozen=True)
+class CoordinatorTimeouts:
+    """Waiting times of a coordinator [s].
+
+    Attributes:
+        batch_window: Time that the first pending request waits for others.
+        lease: Silence after which a robot is suspect; a coordinator listens for as long before it decides.
+        lost_after: Silence after which a robot is lost.
+        repeat: Time between repetitions of an unacknowledged grant.
+        stale: Age at which an observation is refused.
+        policy_limit: Time after which a policy has failed.
+        time_step: Duration of a low-level step, the unit of reported durations.
+    """
+
+    batch_window: float = 0.0
+    lease: float = 0.5
+    lost_after: float = 2.0
+    repeat: float = 0.1
+    stale: float = 2.0
+    policy_limit: float = 0.05
+    time_step: float = 1.0
+
+
+class TeamQuery:
+    """Keeps the latest observation of each robot, and builds the query of a decision from it.
+
+    Args:
+        robots: Robots, in the policy's order.
+
+    Attributes:
+        index: Index of each robot in the policy's order, by name.
+        safe_options: Safe option of each robot, in the policy's order.
+    """
+
+    def __init__(self, robots: Sequence[RobotSpec]) -> None:
+        names = [robot.agent.name for robot in robots]
+        self.index = {name: index for index, name in enumerate(names)}
+        self.safe_options = [robot.safe_option for robot in robots]
+        self._options = option_mask([len(robot.agent.options) for robot in robots])
+        ends = np.cumsum([robot.agent.observation_size for robot in robots]).tolist()
+        self._places = {name: slice(*ends) for name, ends in zip(names, pairwise([0, *ends]), strict=True)}
+        self._observed = np.zeros(ends[-1], np.float32)
+
+    def observe(self, request: Request) -> None:
+        """Take the observation of a request that was checked."""
+        self._observed[self._places[request.agent]] = request.observation
+
+    def of(self, requests: Mapping[str, Request], ledger: Mapping[str, Entry]) -> PolicyQuery:
+        """Return the query in which the robots of `requests` choose, and the others run what the ledger says."""
+        legal, choosing = self._options.copy(), np.zeros(len(self.index), bool)
+        for name, request in requests.items():
+            index = self.index[name]
+            choosing[index] = True
+            if np.size(request.legal):
+                legal[index, : np.size(request.legal)] = request.legal
+        running = np.array([entry.option if entry.runs else NONE for entry in ledger.values()])
+        return PolicyQuery(self._observed.copy(), choosing, running, legal)
