@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from ctrl_rl_learning.sb3 import algorithms
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments
 from ctrl_rl_learning.sb3.state_visitation import Visits
 from ctrl_rl_learning.study.results import samples_to
 from ctrl_rl_learning.study.run import RunOptions
@@ -44,6 +45,24 @@ def test_the_wrapper_pays_the_reward_and_leaves_the_rest_alone():
     assert info["outcome"] == "COLLISION"
     environment.close()
     bare.close()
+
+
+def test_a_fleet_is_paid_what_one_robot_is():
+    reward = make_reward("distance_10", load_navigation_task("car_ttr"))
+    run = RewardRun("car_ttr", "ppo", "distance_10", 0)
+    fleet = run.environments("ppo")
+    assert isinstance(fleet, FleetEnvironments)
+    fleet.seed(0)
+    fleet.reset()
+    random, ended = np.random.default_rng(0), set()
+    for _ in range(300):
+        _, paid, over, infos = fleet.step(random.uniform(-1.0, 1.0, (fleet.num_envs, 2)))
+        states = np.array([info["state"] for info in infos])
+        outcomes = [Outcome[info["outcome"]] for info in infos]
+        np.testing.assert_allclose(paid, algorithms.REWARD_SCALE * reward(states, outcomes), rtol=1e-5)
+        ended |= {outcome for outcome, done in zip(outcomes, over, strict=True) if done}
+    assert Outcome.COLLISION in ended
+    assert RewardRun("car_ttr", "ppo", "sparse", 0, engine="auto").in_fleet is False
 
 
 def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):

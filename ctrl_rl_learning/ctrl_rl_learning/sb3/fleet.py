@@ -58,11 +58,19 @@ class FleetEnvironments(VecEnv):
         size: Number of robots.
         reward: Reward of the steps; the task's own unless given.
         starts: Where episodes start; the task's start set unless given.
+        timeout_ends: Whether the return ends at a time-out, as at a collision, instead of going on with the value of
+            the last state: for learners of what a task pays for a time-out.
     """
 
     def __init__(
-        self, task: NavigationTask, size: int, reward: FleetReward | None = None, starts: FleetStarts | None = None
+        self,
+        task: NavigationTask,
+        size: int,
+        reward: FleetReward | None = None,
+        starts: FleetStarts | None = None,
+        timeout_ends: bool = False,
     ) -> None:
+        self._truncating = None if timeout_ends else Outcome.TIMEOUT
         self.render_mode = None
         self._fleet, self._reward, self._starts = PlanarFleet(task, size), reward, starts
         self._middle, self._unit = observation_scales(task)
@@ -91,7 +99,7 @@ class FleetEnvironments(VecEnv):
         if self._reward is not None:
             paid = self._reward.pay(states, outcomes, paid)
         infos: list[dict[str, Any]] = [
-            {"outcome": Outcome(outcome).name, "state": state, "TimeLimit.truncated": outcome == Outcome.TIMEOUT}
+            {"outcome": Outcome(outcome).name, "state": state, "TimeLimit.truncated": outcome == self._truncating}
             for outcome, state in zip(outcomes, states, strict=True)
         ]
         over = outcomes != Outcome.RUNNING
@@ -139,6 +147,11 @@ class FleetEnvironments(VecEnv):
     def env_is_wrapped(self, _: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
         """Return that none is wrapped."""
         return [False] * len(list(self._get_indices(indices)))
+
+
+def fits_fleet(task: NavigationTask) -> bool:
+    """Return whether a fleet can simulate a task: not a corridor, nor worlds that move or differ between episodes."""
+    return not (task.corridor or task.movers or task.randomisation)
 
 
 def evaluate_in_fleet(

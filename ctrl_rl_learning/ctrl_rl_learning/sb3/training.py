@@ -16,6 +16,7 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
 
 from ctrl_rl_core import (
     Actor,
@@ -26,9 +27,10 @@ from ctrl_rl_core import (
     interface_of,
     task_digest,
 )
-from ctrl_rl_learning.sb3.algorithms import extract_actor
+from ctrl_rl_learning.sb3.algorithms import extract_actor, number_of_environments
 from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
 from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
 from ctrl_rl_learning.sb3.state_visitation import Visits
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
@@ -39,7 +41,7 @@ _EVALUATION_SEED = 1_000_000
 
 
 class SimulatedRun(Run):
-    """A run in a simulated task.
+    """A run in a simulated task: robots side by side in the planar engine, or one at a time.
 
     Its folder then holds policy.safetensors (an `Actor`) and visits.safetensors (how often states were met: `Visits`).
     A point of its curve says samples, episodes and how they ended, success of the evaluation and its mean undiscounted
@@ -65,7 +67,28 @@ class SimulatedRun(Run):
 
     @abstractmethod
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the environment with so many physics steps per second [Hz], see `environment.make_environment`."""
+        """Return one robot's environment with so many physics steps per second [Hz], see `make_environment`."""
+
+    @property
+    def in_fleet(self) -> bool:
+        """Whether it learns, and is evaluated while it learns, in a fleet; its task must fit one, see `fits_fleet`."""
+        return False
+
+    @property
+    def timeout_ends(self) -> bool:
+        """Whether the return ends at a time-out, see `FleetEnvironments`."""
+        return False
+
+    def fleet_reward(self, _robots: int, /) -> FleetReward | None:
+        """Return what a fleet of so many robots is paid; None for the task's own rewards."""
+        return None
+
+    def environments(self, algorithm: str) -> VecEnv | Callable[[], Environment]:
+        """Return what `make_algorithm` makes the environments of an algorithm from."""
+        if not self.in_fleet:
+            return self.environment
+        robots = number_of_environments(algorithm)
+        return FleetEnvironments(self.task, robots, self.fleet_reward(robots), timeout_ends=self.timeout_ends)
 
     @abstractmethod
     def model(self, samples: int) -> BaseAlgorithm:
@@ -74,6 +97,11 @@ class SimulatedRun(Run):
     @contextmanager
     def tester(self) -> Iterator[Tester]:
         """Yield how policies are evaluated while learning; the simulation is kept from the first time to the end."""
+        if self.in_fleet:
+            yield lambda actor, episodes, seed: evaluate_in_fleet(
+                actor, self.task, range(seed, seed + episodes), self.fleet_reward(episodes)
+            )
+            return
         with ExitStack() as opened:
             kept: list[Environment] = []
 

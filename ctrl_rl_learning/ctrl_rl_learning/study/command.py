@@ -63,6 +63,8 @@ class SimulatedOptions(ExperimentOptions):
     """Samples of a run; whole iterations of 10240 are done."""
     iterations: Positive | None = None
     """Old name of --samples, in units of 10240."""
+    engine: Annotated[str, one_of(("planar", "auto"))] = "planar"
+    """Engine to learn in: planar, robots side by side where the task fits, or auto, one at a time in PyBullet."""
 
     def run_options(self) -> RunOptions:
         """Return the settings of the runs."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,12 +11,13 @@ from typing import Any
 
 from ctrl_rl_learning.sb3.algorithms import make_algorithm, number_of_environments
 from ctrl_rl_learning.sb3.environment import Environment, make_environment
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
-from ctrl_rl_learning.sb3.training import SimulatedRun, Tester
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward
+from ctrl_rl_learning.sb3.training import SimulatedRun
 from ctrl_rl_learning.study.run import find_method
 from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from ttr_reward_node.rewards.progress import PAYS, PER_SECOND, Potential, PotentialReward, TimeToReach
+from ttr_reward_node.training.training import StateReward
 
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.errors import TrialError
@@ -25,7 +25,6 @@ from ctrl_rl_trials.ladder.task_list import load_ladder_task
 from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, fit_critic
 from ctrl_rl_trials.shaping.demonstrations import demonstrate, teach
 from ctrl_rl_trials.shaping.potential import DistanceInSeconds
-from ctrl_rl_trials.shaping.reward_shaping import StateReward
 from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
 from ctrl_rl_trials.shaping.time_to_go import TimeToGo
 from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Way
@@ -95,14 +94,13 @@ class LadderRun(SimulatedRun):
         """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
         return make_environment(self.task, rate)
 
-    @contextmanager
-    def tester(self) -> Iterator[Tester]:
-        """Yield how policies are evaluated while learning: side by side in the planar engine."""
-        yield lambda actor, episodes, seed: evaluate_in_fleet(
-            actor, self.task, range(seed, seed + episodes), self._reward(episodes)
-        )
+    @property
+    def in_fleet(self) -> bool:
+        """Whether it learns in a fleet: the ladder's tasks all do."""
+        return True
 
-    def _reward(self, robots: int) -> FleetReward | None:
+    def fleet_reward(self, robots: int) -> FleetReward | None:
+        """Return what the way pays a fleet of so many robots."""
         way, task = self.way, self.task
         if way.reward == "none":
             return None
@@ -119,13 +117,14 @@ class LadderRun(SimulatedRun):
             return DistanceInSeconds(self.task)
         return TimeToGo(self.value, self.task) if self.way.needs_mpc else TimeToReach(load_value(self.value))
 
-    def _environments(self) -> FleetEnvironments:
-        robots = number_of_environments(self.learner)
+    def environments(self, algorithm: str) -> FleetEnvironments:
+        """Return the fleet of an algorithm, which starts as the way says."""
+        robots = number_of_environments(algorithm)
         starts = None
         if self.way.starts == "grow":
             states, times = _levels(self.task_name, self.value)
             starts = GrowingStarts(states, times, robots)
-        return FleetEnvironments(self.task, robots, self._reward(robots), starts)
+        return FleetEnvironments(self.task, robots, self.fleet_reward(robots), starts)
 
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
@@ -140,12 +139,12 @@ class LadderRun(SimulatedRun):
             changes |= {"policy": BaselinePolicy, "policy_kwargs": {"baseline": baseline}, "vf_coef": 0.0}
         elif way.baseline == "corrected":
             changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": baseline}}
-        model = make_algorithm(self.learner, self._environments(), self.seed, samples, **changes)
+        model = make_algorithm(self.learner, self.environments(self.learner), self.seed, samples, **changes)
         if way.baseline == "begins" and baseline is not None:
             fit_critic(model, baseline, self.seed)
         if way.demonstrations:
             potential = TimeToReach(load_value(self.value))
-            seen, done = demonstrate(self._environments(), self.task, potential, self.seed)
+            seen, done = demonstrate(self.environments(self.learner), self.task, potential, self.seed)
             teach(model, seen, done, self.seed)
             model.num_timesteps += len(seen)
         return model

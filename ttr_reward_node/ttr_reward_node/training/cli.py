@@ -57,7 +57,9 @@ def _train(options: Train) -> int:
     from ttr_reward_node.training.results import collect, success_table
     from ttr_reward_node.training.training import reward_runs
 
-    runs = reward_runs(options.task, options.algorithms or THESIS_ALGORITHMS, rewards, options.seeds, options.grid)
+    runs = reward_runs(
+        options.task, options.algorithms or THESIS_ALGORITHMS, rewards, options.seeds, options.grid, options.engine
+    )
     for run in {run.reward: run for run in runs}.values():
         run.environment().close()  # refuses what is wrong before workers start
     train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table, options.run_options())

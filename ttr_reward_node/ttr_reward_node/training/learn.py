@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from ctrl_rl_learning.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
 from ctrl_rl_learning.sb3.environment import Environment, make_environment, observation_names
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet
+from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet, fits_fleet
 from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
 
 from ctrl_rl_core import Actor, NavigationTask, interface_of, load_navigation_task, task_digest
@@ -63,7 +63,7 @@ def train(
     pay = TimeToReach(solve_value(task)) if reward is None else reward
     own_states = task.system.build().state_names
     pay.check_states(own_states)
-    in_fleet = not (task.corridor or task.movers or task.randomisation)
+    in_fleet = fits_fleet(task)
     make = partial(_environment, task, pay)
     torch.set_num_threads(1)
     model = make_algorithm(

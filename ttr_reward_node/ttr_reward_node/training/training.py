@@ -13,15 +13,19 @@ import numpy as np
 from ctrl_rl_learning.sb3.algorithm_names import THESIS_ALGORITHMS
 from ctrl_rl_learning.sb3.algorithms import make_algorithm
 from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment
+from ctrl_rl_learning.sb3.fleet import FleetReward, fits_fleet
 from ctrl_rl_learning.sb3.training import SimulatedRun
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, load_navigation_task
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.rewards.progress import PER_SECOND
+from ttr_reward_node.rewards.progress import PER_SECOND, TimeToReach
 from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS, Reward, make_reward
 from ttr_reward_node.training.time_to_reach_reward import TimeToReachReward
 from ttr_reward_node.values.value_file import load_value
+
+Array = NDArray[np.float64]
 
 
 class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
@@ -43,6 +47,24 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         if not (terminated or truncated):
             paid = self._reward(info["state"][None], np.array([Outcome.RUNNING]))[0]
         return observation, float(paid), terminated, truncated, info
+
+
+class StateReward:
+    """Pays the robots of a fleet one of the rewards of Table 3.3 while an episode goes on, as `RewardWrapper` does.
+
+    Args:
+        reward: Reward that is paid for the true states.
+    """
+
+    def __init__(self, reward: Reward) -> None:
+        self._reward = reward
+
+    def begin(self, robots: Sequence[int], states: Array) -> None:
+        """Do nothing: a state pays whatever came before."""
+
+    def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
+        """Return what a step pays each robot (N,), see `FleetReward`."""
+        return np.where(outcomes == Outcome.RUNNING, self._reward.intermediate(states), rewards)
 
 
 def make_progress(task: NavigationTask, value: ValueFunction, rate: int | None = None) -> Environment:
@@ -72,6 +94,7 @@ class RewardRun(SimulatedRun):
         reward: One of `TRAINING_REWARDS`.
         seed: Seed of everything random.
         grid: File of the task's time-to-reach function, for "ttr" and "ttr_progress".
+        engine: "planar" to learn in a fleet where the task fits one, or "auto" for one robot at a time in PyBullet.
     """
 
     task_name: str
@@ -79,6 +102,7 @@ class RewardRun(SimulatedRun):
     reward: str
     seed: int
     grid: Path | None = None
+    engine: str = "planar"
 
     @property
     def name(self) -> str:
@@ -100,20 +124,35 @@ class RewardRun(SimulatedRun):
             "reward": self.reward,
             "seed": self.seed,
             "grid_digest": None if value is None else value.digest,
+            **({"engine": self.engine} if self.in_fleet else {}),
         }
+
+    @property
+    def in_fleet(self) -> bool:
+        """Whether it learns in a fleet."""
+        return self.engine == "planar" and fits_fleet(self.task)
 
     def environment(self, rate: int | None = None) -> Environment:
         """Return the task's environment that pays the reward."""
-        value = _value(self.grid)
         if self.reward == PROGRESS:
-            if value is None:
-                raise TimeToReachError(f"the reward '{PROGRESS}' needs the task's time to reach: solve the task first")
-            return make_progress(self.task, value, rate)
-        return make_rewarded(make_reward(self.reward, self.task, value), rate)
+            return make_progress(self.task, self._time_to_reach(), rate)
+        return make_rewarded(make_reward(self.reward, self.task, _value(self.grid)), rate)
+
+    def fleet_reward(self, robots: int) -> FleetReward:
+        """Return what the reward pays a fleet of so many robots."""
+        if self.reward == PROGRESS:
+            return TimeToReach(self._time_to_reach()).for_robots(robots)
+        return StateReward(make_reward(self.reward, self.task, _value(self.grid)))
+
+    def _time_to_reach(self) -> ValueFunction:
+        value = _value(self.grid)
+        if value is None:
+            raise TimeToReachError(f"the reward '{PROGRESS}' needs the task's time to reach: solve the task first")
+        return value
 
     def model(self, samples: int) -> BaseAlgorithm:
         """Return the untrained algorithm with its own environments, for so many samples."""
-        return make_algorithm(self.algorithm, self.environment, self.seed, samples)
+        return make_algorithm(self.algorithm, self.environments(self.algorithm), self.seed, samples)
 
 
 def reward_runs(
@@ -122,11 +161,12 @@ def reward_runs(
     rewards: Sequence[str] = TRAINING_REWARDS,
     seeds: int = 5,
     grid: Path | None = None,
+    engine: str = "planar",
 ) -> list[RewardRun]:
     """Return all runs of a task, those that matter most first."""
     ordered = sorted(rewards, key=lambda reward: _FIRST.index(reward) if reward in _FIRST else len(_FIRST))
     return [
-        RewardRun(task_name, algorithm, reward, seed, grid if reward in ("ttr", PROGRESS) else None)
+        RewardRun(task_name, algorithm, reward, seed, grid if reward in ("ttr", PROGRESS) else None, engine)
         for reward in ordered
         for seed in range(seeds)
         for algorithm in algorithms
