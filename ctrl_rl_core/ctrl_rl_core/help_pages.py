@@ -13,7 +13,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,6 +25,21 @@ _ROOTS = ("ctrl_rl", "sim_bridge", "ttr_", "oc_", "koopman_", "option_")
 """Beginnings of the names of this workspace's packages."""
 
 
+def keep_page(executable: Path, door: Callable[[], int]) -> None:
+    """Print the help of an executable to nowhere, so that its page is kept.
+
+    Args:
+        executable: Its file, as `ros2 run` starts it.
+        door: Its door, see `ctrl_rl_core.entry`.
+    """
+    words, sys.argv = sys.argv, [str(executable), "--help"]
+    try:
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere), suppress(SystemExit):
+            door()
+    finally:
+        sys.argv = words
+
+
 def help_page(work: Callable[[], int]) -> int:
     """Return the exit code of an executable; if it is only asked for its help, print the page that was kept.
 
@@ -34,12 +49,20 @@ def help_page(work: Callable[[], int]) -> int:
     if not WORDS.intersection(sys.argv[1:]):
         return work()
     place = _place()
+    text = _kept(place)
+    if text is None:
+        return _render(work, place)
+    sys.stdout.write(text)
+    return 0
+
+
+def _kept(place: Path) -> str | None:
+    """Return the page in a file, if it is there and still holds."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         page = json.loads(place.read_text(encoding="utf-8"))
         if page["stamp"] == _stamp(page["packages"]):
-            sys.stdout.write(page["text"])
-            return 0
-    return _render(work, place)
+            return str(page["text"])
+    return None
 
 
 def _render(work: Callable[[], int], place: Path) -> int:
@@ -73,8 +96,7 @@ def _place() -> Path:
 def _stamp(packages: list[str]) -> str:
     """Return the digest of names and times of the files of packages, and of the folders where others are installed."""
     digest = hashlib.sha256(sys.version.encode())
-    folders = [folder for folder in sys.path if os.path.isdir(folder)]
-    for folder in folders:
+    for folder in filter(os.path.isdir, sys.path[1:]):  # the first is that of the executable
         digest.update(f"{folder} {os.stat(folder).st_mtime_ns}\n".encode())
     for package in packages:
         spec = find_spec(package)

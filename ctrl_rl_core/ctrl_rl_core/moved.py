@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from pathlib import Path
-from typing import NoReturn
+from importlib import import_module
+from importlib.util import find_spec
 
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ctrl_rl_core.errors import CtrlRlError
 
 _PACKAGE = "ctrl_rl_bags"
 
 
-def bag() -> NoReturn:
+def bag() -> int:
     """Entry point of `ros2 run ctrl_rl_core bag`."""
-    _become("bag")
+    return _run("bag", "cli")
 
 
-def recorder() -> NoReturn:
+def recorder() -> int:
     """Entry point of `ros2 run ctrl_rl_core recorder`."""
-    _become("recorder")
+    return _run("recorder", "recording.recorder_node")
 
 
-def _become(name: str) -> NoReturn:
-    """Replace this process by the command: signals reach it, and the exit code is its own."""
-    try:
-        file = Path(get_package_prefix(_PACKAGE)) / "lib" / _PACKAGE / name
-    except PackageNotFoundError:
-        sys.exit(f"{name}: it moved to the package {_PACKAGE}, which is not installed: build the whole workspace")
-    print(f"{name}: this command is now `ros2 run {_PACKAGE} {name}`", file=sys.stderr)  # noqa: T201
-    os.execv(file, [str(file), *sys.argv[1:]])
+def _run(name: str, module: str) -> int:
+    if find_spec(_PACKAGE) is None:
+        raise CtrlRlError(f"moved to the package {_PACKAGE}, which is not installed: build the whole workspace")
+    sys.stderr.write(f"{name}: this command is now `ros2 run {_PACKAGE} {name}`\n")
+    return int(import_module(f"{_PACKAGE}.{module}").main())

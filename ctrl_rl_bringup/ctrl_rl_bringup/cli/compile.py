@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import EntryPoint, entry_points
 from math import pi
+from pathlib import Path
 
 import numpy as np
+from ament_index_python.packages import get_package_prefix
 from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.help_pages import keep_page
 from ctrl_rl_core.processes.workers import map_in_processes
 from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 
-from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid, find_robot
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid, entry, find_robot
 
 
 @dataclass(frozen=True)
 class CompileOptions:
-    """Compile what nodes compute with, so that their first start is as quick as any other.
+    """Compile what nodes compute with, and keep the pages of --help, so that the first start is as quick as any other.
 
     The code is kept beside the sources, or in the user's cache folder where that cannot be written. What is there
     already is not compiled again; without this command each node compiles what it needs when it first starts.
@@ -33,7 +37,17 @@ def compile_kernels() -> int:
 def _compile() -> int:
     for name in map_in_processes(_call, list(KERNELS)):
         print(f"compiled   {name}")
+    doors = [each for each in entry_points(group="console_scripts") if each.module == entry.__name__]
+    print(f"help       {sum(map_in_processes(_keep_page, doors))} pages")
     return 0
+
+
+def _keep_page(door: EntryPoint) -> bool:
+    """Keep the page of an executable; tell whether there is one."""
+    name = door.dist.name.replace("-", "_") if door.dist else ""
+    executable = Path(get_package_prefix(name)) / "lib" / name / door.name
+    keep_page(executable, door.load())
+    return executable.exists()
 
 
 def _call(name: str) -> str:
