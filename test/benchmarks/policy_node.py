@@ -95,7 +95,7 @@ def in_environment(policy: str, seeds: range) -> list[bool]:
     task = POLICIES[policy]
     driver, world, settings = load_policy(find_policy(policy)), load_navigation_task(task), SimulationOptions()
     if driver.period is None:
-        return [play_episode(driver, world, seed, settings).outcome is Outcome.GOAL for seed in seeds]
+        return [play_episode(driver, world, seed, settings).outcome == Outcome.GOAL.name for seed in seeds]
     actor, environment = Actor.load(find_policy(policy)), NavigationEnv(task)
     reached = []
     try:

@@ -147,7 +147,7 @@ def drive_cells(
             for column, seed in enumerate(seeds):
                 ends[row, column] = play_episode(policy, entry.task, seed, options).outcome
                 on_episode()
-        reached, collided = ends == Outcome.GOAL, ends == Outcome.COLLISION
+        reached, collided = ends == Outcome.GOAL.name, ends == Outcome.COLLISION.name
         if len(ends) > 1:
             reached, collided = reached.mean(axis=1, keepdims=True), collided.mean(axis=1, keepdims=True)
         yield replace(

@@ -6,14 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.sensing.odometry import OdometryReader
 from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, ScanView, view_scan
 from ctrl_rl_core.sensing.scan_health import ScanHealth, lidar_identity
+from ctrl_rl_core.sensing.sensors import Sensors
 
 Array = NDArray[np.float64]
 
+_SPEEDS = OdometryReader(("v", "omega"))
+
 
 class DriveSafety:
-    """Checks each scan, and limits commands to their safe part.
+    """Checks each scan, and limits commands to their safe part; of sensors it is a `Filter`.
 
     Args:
         health: Checks of the scans.
@@ -63,6 +67,16 @@ class DriveSafety:
             return
         identity = lidar_identity(frame, scan)
         self.fault = self._health.update(now, self.view, ranges.tobytes(), stamp, identity, motion)
+
+    def __call__(self, sensors: Sensors, command: Array) -> Array:
+        """Return the safe part of a command (2,); zeros where the scan allows no motion in its direction."""
+        v, omega = _SPEEDS(sensors.odometry).tolist()
+        if sensors.age == 0.0:
+            self.update(sensors.time, round(1e9 * sensors.time), "scan", sensors.ranges, sensors.scan, (v, omega))
+        try:
+            return self.limit(command, v, sensors.age)[0]
+        except ScanError:
+            return np.zeros(2)
 
     def limit(self, command: Array, v: float, age: float) -> tuple[Array, str]:
         """Return the safe part of a command (2,), and the reason where it is less than the whole.

@@ -53,8 +53,8 @@ class RobotSenses:
 class SimulatedRobot:
     """The first robot of a world, in Gymnasium's form; each step holds a command and takes a scan at its end.
 
-    Info has `outcome`, a name of `Outcome`, `state` (n,), `seconds` and `stood`, the time for which the robot has stood
-    by now [s].
+    Info has `outcome`, a name of `Outcome`; `smallest_clearance` [m]; the true `state` (n,); `seconds` since the start;
+    and `stood`, the time for which the robot has stood by now [s].
 
     Args:
         world: World of the robot.
@@ -91,8 +91,14 @@ class SimulatedRobot:
 
     def _info(self) -> dict[str, Any]:
         world = self.world
-        outcome = world.episode().outcome.name
-        return {"outcome": outcome, "state": world.state(), "seconds": world.elapsed, "stood": self._stood}
+        episode = world.episode()
+        return {
+            "outcome": episode.outcome.name,
+            "smallest_clearance": episode.smallest_clearance,
+            "state": world.state(),
+            "seconds": world.elapsed,
+            "stood": self._stood,
+        }
 
 
 def begin(world: SimulatedWorld, seed: int) -> None:
