@@ -15,7 +15,6 @@ from ctrl_rl_core import (
     NavigationTask,
     ObstacleStop,
     OdometryReader,
-    Outcome,
     PolicyManifest,
     ScanHealth,
     Sensors,
@@ -75,11 +74,11 @@ class DaggerEpisode(NamedTuple):
 
     Attributes:
         samples: Its scans, with what the expert would do at each.
-        reached: Whether it ended at the goal.
+        outcome: Name of its outcome; RUNNING where the robot stood too long.
     """
 
     samples: list[LabelledSample]
-    reached: bool
+    outcome: str
 
 
 class _Labeller:
@@ -92,7 +91,7 @@ class _Labeller:
         self._expert, self._observe = Expert(task, world.geometry), ObservationBuilder(interface)
         self.samples: list[LabelledSample] = []
 
-    def command(self, sensors: Sensors) -> Array:  # noqa: D102 - see Driver
+    def command(self, sensors: Sensors) -> Array:
         seen = self._observe(sensors)
         wanted = self._expert.command(self._world.pose(), _SPEEDS(sensors.odometry))
         self.samples.append(LabelledSample(seen, wanted))
@@ -121,4 +120,4 @@ def drive_labelled(
         (episode,) = drive(simulated, driver, safety, seeds=(seed,))
     finally:
         world.close()
-    return DaggerEpisode(driver.samples, episode.outcome == Outcome.GOAL.name)
+    return DaggerEpisode(driver.samples, episode.outcome)

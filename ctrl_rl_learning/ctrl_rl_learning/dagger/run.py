@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, task_digest
-from ctrl_rl_learning.dagger.episode import DaggerEpisode, LabelledSample, corridor_interface
+from ctrl_rl_learning.dagger.episode import LabelledSample, corridor_interface, drive_labelled
 from ctrl_rl_learning.dagger.student import Student
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
 from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
@@ -50,11 +50,12 @@ class Lessons:
         ends = []
         while len(moments) < self._options.samples:
             taught = not curve or random.random() < _TEACHER
-            lesson = DaggerEpisode(self._task, self._interface, self._seed * _SEEDS + _SEEDS // 2 + self._episodes)
+            seed, student = self._seed * _SEEDS + _SEEDS // 2 + self._episodes, None if taught else self._pupil.command
+            episode = drive_labelled(self._task, self._interface, seed, student)
             self._episodes += 1
-            moments += lesson.drive(None if taught else self._pupil.command)
+            moments += episode.samples
             if not taught or not curve:
-                ends.append(lesson.outcome is Outcome.GOAL)
+                ends.append(episode.outcome == Outcome.GOAL.name)
         self._seen = np.concatenate((self._seen, [each.observation for each in moments]))
         self._wanted = np.concatenate((self._wanted, [each.wanted for each in moments]), dtype=np.float32)
         loss = self._learn(_UPDATES, random)
@@ -80,13 +81,11 @@ class Lessons:
     def finish(self, folder: Path) -> dict[str, Any]:
         """Learn longer from all moments, write the policy, and count how often it arrives in new episodes."""
         loss = self._learn(_LAST_UPDATES, np.random.default_rng((self._seed, _SEEDS)))
-        ends = []
-        for seed in range(self._options.final_evaluations):
-            lesson = DaggerEpisode(self._task, self._interface, seed)
-            for _ in lesson.drive(self._pupil.command):
-                pass
-            ends.append(lesson.outcome)
-        success = float(np.mean([end is Outcome.GOAL for end in ends]))
+        ends = [
+            drive_labelled(self._task, self._interface, seed, self._pupil.command).outcome
+            for seed in range(self._options.final_evaluations)
+        ]
+        success = float(np.mean([end == Outcome.GOAL.name for end in ends]))
         manifest = {
             "task": self._task.name,
             "task_digest": task_digest(self._task),
@@ -96,7 +95,7 @@ class Lessons:
             "success": success,
         }
         self._pupil.actor(manifest).save(folder / "policy.safetensors")
-        collisions = float(np.mean([end is Outcome.COLLISION for end in ends]))
+        collisions = float(np.mean([end == Outcome.COLLISION.name for end in ends]))
         return {"success": success, "collisions": collisions, "loss": loss}
 
 
