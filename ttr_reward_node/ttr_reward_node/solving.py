@@ -42,6 +42,7 @@ def solve_value(
     counts: Sequence[int] | Mapping[str, int] | None = None,
     decomposition: str | None = None,
     method: str = "semi_lagrangian",
+    device: str = "cpu",
 ) -> ValueGrid | DecomposedValue:
     """Compute the time to reach of a task, or of a system on a grid.
 
@@ -71,6 +72,7 @@ def solve_value(
         decomposition: Name of a decomposition of the system, such as "4d+4d" for the planar quadrotor, for less memory
             and a lower bound of the time; the whole system is solved unless given.
         method: "semi_lagrangian", or "lax_friedrichs" as the thesis has it.
+        device: "cpu", or "cuda" to sweep on a GPU, which needs NVIDIA Warp.
 
     Raises:
         CtrlRlError: The task, the system or the grid is wrong, does not fit into memory, or nothing outside the goal
@@ -82,9 +84,9 @@ def solve_value(
         posed = _from_system(problem, axes, target, obstacles, 0.0 if inflation is None else inflation)
     value: ValueGrid | DecomposedValue
     if decomposition is None:
-        value = solve(posed, method).grid
+        value = solve(posed, method, device=device).grid
     else:
-        value = solve_decomposed(posed, find_decomposition(posed.system, decomposition), method)
+        value = solve_decomposed(posed, find_decomposition(posed.system, decomposition), method, device=device)
     check_reached(posed, value)
     return value
 

@@ -35,6 +35,7 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.relabel import relabel
 from ttr_reward_node.rewards.rewards import RewardEvaluator
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS, find_decomposition, join, split
+from ttr_reward_node.solvers.devices import CPU
 from ttr_reward_node.solvers.solution import Solution, gigabytes
 from ttr_reward_node.solvers.solver import check_reached, memory_needed, solve
 from ttr_reward_node.values.decomposed_value import DecomposedValue
@@ -111,6 +112,8 @@ class Solve:
     """Into how many cells each of the grid's is split while it is solved; up to 4 on two axes where none is given."""
     strict: bool = False
     """Exit with 1 where the solution is doubtful."""
+    device: str = "cpu"
+    """Where to sweep: cpu, or cuda for a GPU (cuda:1 for a second one), which needs NVIDIA Warp."""
 
 
 @dataclass(frozen=True)
@@ -199,6 +202,8 @@ def _solve(options: Solve) -> int:
     if not output.parent.is_dir():
         raise TimeToReachError(f"{output}: there is no folder {output.parent}: make it, or name another with --output")
     if options.kind != "time_to_reach":
+        if options.device != CPU:
+            raise TimeToReachError(f"--kind {options.kind} runs on the CPU alone: leave --device out")
         converged = solve_and_save(
             problem,
             options.kind,
@@ -242,6 +247,7 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
                 max_sweeps=options.max_sweeps,
                 progress=show,
                 finer=options.finer,
+                device=options.device,
             )
     state = "converged" if solution.converged else "NOT converged (allow more with --max-sweeps)"
     print(f"solved     {state} after {solution.sweeps} sweeps, {solution.cpu_seconds:.2f} s CPU")

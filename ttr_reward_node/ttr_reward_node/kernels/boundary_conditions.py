@@ -18,7 +18,7 @@ INTERPOLATE, BLOCKED, PASSES_TARGET = 0.0, -1.0, -2.0
 """Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
 
 _OPTIONS = {"error_model": "numpy"}
-_MARGIN, _MARGIN_OF_LONG = 0.15, 0.6  # cells kept from obstacles: who steers by what grazes them touches them
+MARGIN, MARGIN_OF_LONG = 0.15, 0.6  # cells kept from obstacles: who steers by what grazes them touches them
 
 
 class BoundaryConditions(NamedTuple):
@@ -97,7 +97,7 @@ def find_outcomes(
             outcomes[i, p] = INTERPOLATE
             if duration == 0.0:
                 continue
-            margin = (_MARGIN_OF_LONG if long[p] else _MARGIN) * boundary.cell
+            margin = (MARGIN_OF_LONG if long[p] else MARGIN) * boundary.cell
             t = _classify_step(start, move, free <= paths.reach[slabs[i], p] + margin, margin, grid, boundary)
             if 0.0 <= t <= 1.0:
                 outcomes[i, p] = np.exp(-rate * t * duration)

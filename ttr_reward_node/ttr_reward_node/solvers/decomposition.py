@@ -110,6 +110,7 @@ def solve_decomposed(
     *,
     counts: Sequence[int] | Mapping[str, int] | None = None,
     progress: Progress | None = None,
+    device: str = "cpu",
 ) -> DecomposedValue:
     """Solve each subsystem; the maximum of the solutions is a lower bound of the time to reach.
 
@@ -119,11 +120,13 @@ def solve_decomposed(
         method: Name of the solver, one of `solver.METHODS`.
         counts: Number of nodes by state name, or one for each state, in place of the task's.
         progress: Function called after each sweep with its number and the largest change [s].
+        device: Device on which each is solved, as for `solve`.
 
     Raises:
         TimeToReachError: The decomposition does not suit the problem, or `solve` refuses a subsystem.
     """
-    return join(decomposition, *solve_parts(problem, decomposition, method, counts=counts, progress=progress))
+    parts = solve_parts(problem, decomposition, method, counts=counts, progress=progress, device=device)
+    return join(decomposition, *parts)
 
 
 def solve_parts(
@@ -133,12 +136,17 @@ def solve_parts(
     *,
     counts: Sequence[int] | Mapping[str, int] | None = None,
     progress: Progress | None = None,
+    device: str = "cpu",
 ) -> tuple[TimeToReachProblem, tuple[Subsystem, ...], tuple[Solution, ...]]:
     """Solve each subsystem, as `solve_decomposed`, and return the problem, its subsystems and their solutions."""
     if not isinstance(problem, TimeToReachProblem):
         problem = problem_from_task(problem, counts=counts)
     subsystems = split(problem, decomposition)
-    return problem, subsystems, tuple(solve(part.problem, method, progress=progress) for part in subsystems)
+    return (
+        problem,
+        subsystems,
+        tuple(solve(part.problem, method, progress=progress, device=device) for part in subsystems),
+    )
 
 
 def join(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -43,7 +43,14 @@ class NearNodes:
 
 
 def find_near_nodes(
-    problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+    problem: TimeToReachProblem,
+    layout: Layout,
+    steps: Steps,
+    table: StepTable,
+    grid: Grid,
+    rate: float,
+    follow: Callable[..., None] | None = None,
+    block: int = _BLOCK,
 ) -> NearNodes:
     """Follow the steps from all nodes that are near enough to target or obstacle for one to meet it.
 
@@ -54,7 +61,10 @@ def find_near_nodes(
         table: The same for compiled code.
         grid: Axes for compiled code.
         rate: Rate lambda of the transform [1/s].
+        follow: Function like `kernels.boundary_conditions.find_outcomes`, which is compiled for the CPU unless given.
+        block: Number of outcomes that it finds at once.
     """
+    follow = _follow if follow is None else follow
     failed = problem.blocked() | _beyond_limits(problem, layout)
     shaped = _flags(problem, layout, steps, failed)
     values = flat((shaped == FIXED) & ~failed, layout).astype(np.float32)
@@ -67,13 +77,12 @@ def find_near_nodes(
     inner = flags.size // layout.slabs
     pairs = steps.codes.shape[1]
     found = []
-    for begin in range(0, len(candidates), max(1, _BLOCK // pairs)):
-        nodes = candidates[begin : begin + max(1, _BLOCK // pairs)]
+    for begin in range(0, len(candidates), max(1, block // pairs)):
+        nodes = candidates[begin : begin + max(1, block // pairs)]
         slabs, local = np.unique(nodes // inner, return_inverse=True)
         paths = _paths(problem, layout, steps, slabs, plane, spacings)
         outcomes = np.empty((len(nodes), pairs), np.float32)
-        given = nodes, local, paths, grid, table.long, boundary, rate, outcomes
-        share(partial(_follow, given), 2 if len(nodes) > 1 else 1)
+        follow(nodes, local, paths, grid, table.long, boundary, rate, outcomes)
         matters = (outcomes != INTERPOLATE).any(axis=1)
         flags[nodes[~matters]] = FREE
         found.append(outcomes[matters])
@@ -83,7 +92,12 @@ def find_near_nodes(
     return NearNodes(values, flags, outcomes, np.concatenate(([0], np.cumsum(per_row))))
 
 
-def _follow(given: tuple[Any, ...], part: int, parts: int) -> None:
+def _follow(*given: Any) -> None:
+    """Fill in the outcomes of some nodes, in two threads."""
+    share(partial(_follow_part, given), 2 if len(given[0]) > 1 else 1)
+
+
+def _follow_part(given: tuple[Any, ...], part: int, parts: int) -> None:
     """Fill in one part of the outcomes of some nodes."""
     nodes, local, *rest, outcomes = given
     some = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)

@@ -20,10 +20,10 @@ import numpy as np
 from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.kernels.sweep import SweepSettings
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.near_nodes import find_near_nodes, near_share
+from ttr_reward_node.solvers.devices import CPU, find_device
+from ttr_reward_node.solvers.near_nodes import near_share
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import make_layout, make_steps, pairs, step_lengths, tried_controls
-from ttr_reward_node.solvers.sweeper import make_sweeper
 
 # All in units of the time that the slowest axis takes to cross a cell at its top speed.
 _TOLERANCE = 0.1
@@ -60,9 +60,11 @@ def solve(
     tolerance: float | None = None,
     max_sweeps: int = 300,
     progress: Progress | None = None,
+    device: str = CPU,
 ) -> SweepResult:
     """Solve a problem, with the arguments of `solver.solve`."""
     require_memory(memory_needed(problem), problem.points)
+    use = find_device(device)
     layout = make_layout(problem)
     steps = make_steps(problem, layout)
     unit = steps.crossing
@@ -75,8 +77,7 @@ def solve(
     discounts[0] = 0.0
     long = steps.lengths > _LONG
     table = StepTable(steps.codes, steps.ends, steps.ranges, long, steps.controls, discounts, steps.durations)
-    sweeper = make_sweeper(layout, grid, table, find_near_nodes(problem, layout, steps, table, grid, rate))
-    values = sweeper.values
+    sweeper = use(problem, layout, steps, table, grid, rate)
     coarse, fine = _QUIET[1] * unit, min(_QUIET[2] * unit, 0.1 * tolerance)
     phases = [
         SweepSettings(rate, math.inf, 0.0, _QUIET[0] / rate, False, 0, 0),
@@ -98,15 +99,16 @@ def solve(
         least = min(least, change)
         first, last = math.isinf(phases[0].jump), len(phases) == 1
         if last and residual <= tolerance:
-            if phases[0].enough == _MOST and (found & (values == 0.0)).any():
+            if phases[0].enough == _MOST and (found & (sweeper.values == 0.0)).any():
                 # What is reachable, but lies along an edge: with times that lean on fewer neighbours.
                 phases, last = [phases[0], phases[0]._replace(enough=_SOME, curved=False)], False
-                lost = ~found | (values > 0.0)
+                lost = ~found | (sweeper.values > 0.0)
             else:
                 break
         settled = not last and residual <= (_SETTLED[0] / rate if first else _SETTLED[1] * unit) and in_phase > 1
         if settled or (not last and not first and (in_phase >= _PATIENCE or stalled >= _STALLED)):
             if first:
+                values = sweeper.values
                 lost, doubtful, found = values < _LOST, values < _CUT, values >= _FOUND
                 if not doubtful.any():  # nothing has lost weight: there is no edge to make sharp
                     phases.pop(0)
@@ -114,6 +116,7 @@ def solve(
             phases.pop(0)
             sweeper.restart(lost)
             in_phase, least, stalled = 0, math.inf, 0
+    values = sweeper.values
     if len(phases) > 1:  # given up: what has barely been reached would become times of hours
         values[values < _CUT] = 0.0
     with np.errstate(divide="ignore"):

@@ -23,6 +23,7 @@ from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.rewards.rewards import longest_time
 from ttr_reward_node.solvers import lax_friedrichs, semi_lagrangian
+from ttr_reward_node.solvers.devices import CPU
 from ttr_reward_node.solvers.refinement import choose_refinement, coarsen, refine
 from ttr_reward_node.solvers.solution import Progress, Solution, SweepResult
 
@@ -48,6 +49,7 @@ def solve(
     progress: Progress | None = None,
     certify: bool = True,
     finer: int | None = None,
+    device: str = CPU,
 ) -> Solution:
     """Compute phi of thesis Eq. 2.18 on the grid.
 
@@ -61,13 +63,14 @@ def solve(
         progress: Function called after each sweep with its number and the largest change [s].
         certify: Whether to try the solution afterwards, which takes a tenth of a second or a few per cent of the time.
             Each doubt is a DoubtfulValueWarning, and stands in the solution's certificate.
-
         finer: Into how many cells each of the grid's is split while it is solved; the values at its own nodes are
             kept. Unless given, up to 4 on two axes, as far as that costs about a second; 1 on others.
+        device: "cpu", or "cuda" ("cuda:1" for a second one) to sweep on a GPU, which needs NVIDIA Warp; "warp:cpu"
+            runs the GPU's kernels on the CPU, for tests. Semi-Lagrangian only.
 
     Raises:
-        TimeToReachError: an unknown method, a tolerance or number of sweeps or of cells that is not positive, or the
-            problem does not fit into memory; nothing has been computed then.
+        TimeToReachError: an unknown method or device, a tolerance or number of sweeps or of cells that is not positive,
+            or the problem does not fit into memory; nothing has been computed then.
     """
     if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
         raise TimeToReachError(f"tolerance {tolerance:g} s: it must be above 0")
@@ -78,6 +81,10 @@ def solve(
     solved = refine(problem, finer)
     memory = solver.memory_needed(solved)
     options: dict[str, Any] = {} if max_sweeps is None else {"max_sweeps": max_sweeps}
+    if device != CPU:
+        if solver is not semi_lagrangian:
+            raise TimeToReachError(f"method '{method}' runs on the CPU alone: leave the device out")
+        options["device"] = device
     begin = time.process_time()
     sweeps = solver.solve(solved, tolerance=tolerance, progress=progress, **options)
     seconds = time.process_time() - begin
@@ -91,6 +98,7 @@ def solve(
         "system": problem.system.name,
         "reachable": f"{reachable:.4f}",
         "disturbances": str(problem.disturbances),
+        **({} if device == CPU else {"device": device}),
     }
     certificate = make_certificate(_make_grid(problem, method, sweeps, notes), problem) if certify else None
     if certificate is not None:

@@ -24,7 +24,9 @@ _FULL_EVERY = 3  # of the sweeps over single nodes, one in so many tries all ste
 class Sweeper(Protocol):
     """Values of the nodes, and sweeps that bring them nearer to the solution."""
 
-    values: NDArray[np.float32]
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """W at the nodes, flat in the layout's order, to be read, and changed, between two sweeps."""
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
         """Do sweep number `in_phase` of a phase; return the largest change [s], NaN if nothing shows by it."""

@@ -1,0 +1,89 @@
+"""Devices on which the semi-Lagrangian solver sweeps: the CPU by Numba, a GPU by NVIDIA Warp."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from ttr_reward_node.errors import TimeToReachError
+from ttr_reward_node.kernels.stencil import Grid, StepTable
+from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.solvers.near_nodes import find_near_nodes
+from ttr_reward_node.solvers.solution import gigabytes
+from ttr_reward_node.solvers.steps import Layout, Steps
+from ttr_reward_node.solvers.sweeper import Sweeper, make_sweeper
+
+CPU = "cpu"
+"""The default device: compiled by Numba, and the reference for all others."""
+_ON_GPU = 13.0, 8.0  # bytes a node: two buffers, flags, and a part for the near nodes; of a step besides its moves
+
+MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, StepTable, Grid, float], Sweeper]
+
+
+def find_device(device: str) -> MakeSweeper:
+    """Return the function that makes the sweeper of a problem on a device.
+
+    Args:
+        device: "cpu"; "cuda" or "cuda:N" for a GPU; or "warp:cpu", the GPU's kernels on the CPU, slow, for tests.
+
+    Raises:
+        TimeToReachError: No such device, or Warp is not installed; the message says what to do.
+    """
+    if device == CPU:
+        return _on_cpu
+    if not re.fullmatch(r"cuda(:\d+)?|warp:cpu", device):
+        raise TimeToReachError(f"unknown device '{device}': take cpu, cuda or cuda:N, or warp:cpu")
+    if device == "warp:cpu":
+        _import_warp(device)
+        return partial(_on_warp, "cpu")
+    # Warp would warn on its own if there is no driver.
+    gpus = _import_warp(device).get_cuda_device_count() if _driver_is_there() else 0
+    number = int(device.partition(":")[2] or 0)
+    if number >= gpus:
+        raise TimeToReachError(f"device '{device}': {gpus} NVIDIA GPUs with a driver are here; take --device cpu")
+    return partial(_on_warp, f"cuda:{number}")
+
+
+def _driver_is_there() -> bool:
+    try:
+        ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    return True
+
+
+def _import_warp(device: str) -> Any:
+    try:
+        import warp
+    except ImportError:
+        raise TimeToReachError(
+            f"device '{device}' needs NVIDIA Warp, which is not installed: pip install -r requirements/gpu.txt"
+        ) from None
+    warp.config.log_level = warp.LOG_ERROR  # no banner between a command's lines
+    warp.init()
+    return warp
+
+
+def _on_cpu(
+    problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+) -> Sweeper:
+    return make_sweeper(layout, grid, table, find_near_nodes(problem, layout, steps, table, grid, rate))
+
+
+def _on_warp(
+    name: str, problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+) -> Sweeper:
+    from ttr_reward_node.solvers.warp_near_nodes import BLOCK, OutcomeFinder
+    from ttr_reward_node.solvers.warp_sweeper import WarpSweeper, free_memory
+
+    needed = _ON_GPU[0] * problem.points + steps.codes.size * (_ON_GPU[1] + 2.0 * len(layout.order))
+    if needed > (there := free_memory(name)):
+        raise TimeToReachError(
+            f"{problem.points:,} grid points need {gigabytes(needed)} of the GPU's memory, "
+            f"{gigabytes(there)} are free: take fewer points on some axes (counts), or --device cpu"
+        )
+    near = find_near_nodes(problem, layout, steps, table, grid, rate, OutcomeFinder(name), BLOCK)
+    return WarpSweeper(name, grid, table, near)
