@@ -36,8 +36,7 @@ from oc_baseline_node.problems.extraction import extract
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate
 from oc_baseline_node.problems.start_states import draw_start
 from oc_baseline_node.value_data.dataset import DataSettings, load_data, read_description
-from oc_baseline_node.value_data.report import remarks, report, start_set
-from oc_baseline_node.value_data.results import value_rows
+from oc_baseline_node.value_data.report import remarks, report, start_set, value_rows
 from oc_baseline_node.values.value_file import find_value, load_value, save_value
 
 _SUMMARY = "Take a task to its optimal control values: extract the problem, make value data, fit V_oc, draw it."

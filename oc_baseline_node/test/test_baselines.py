@@ -9,9 +9,13 @@ from ctrl_rl_learning.sb3.environment import make_environment
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.training.baselines.baselines import OcBaseline
 from oc_baseline_node.training.baselines.control_variates import make_critic, value_and_slope
-from oc_baseline_node.training.baselines.policy_gradient import BaselineBuffer, BaselinePolicy, CorrectedPolicy
+from oc_baseline_node.training.baselines.policy_gradient import (
+    BaselineBuffer,
+    BaselinePolicy,
+    CorrectedPolicy,
+    OcBaseline,
+)
 from oc_baseline_node.values.value_file import load_network
 from sb3_contrib import TRPO
 from stable_baselines3 import PPO

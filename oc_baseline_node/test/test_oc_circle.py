@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from oc_baseline_node.cli import main
-from oc_baseline_node.problems import circle
+from oc_baseline_node.problems import coordinates
 from oc_baseline_node.values.returns import rewards
 
 from ctrl_rl_core import SYSTEM_MODELS, Interval, NavigationTask, Quantity, Region, SystemModel, load_navigation_task
@@ -175,15 +175,17 @@ def test_a_circle_of_any_period_counts(period: float) -> None:
 def test_ways_round_are_the_nearest_ones_within_bounds() -> None:
     region, free = Region({"a": Interval(3.0, 3.2)}), np.array([[-np.inf], [np.inf]])
     period = np.array([TURN])
-    ways = circle.ways_round(region, ("a",), period, np.array([-2.0]), free)
+    ways = coordinates.ways_round(region, ("a",), period, np.array([-2.0]), free)
     assert [way.intervals["a"].low for _, way in ways] == pytest.approx([3.0 - TURN, 3.0])
-    (only,) = circle.ways_round(region, ("a",), period, np.array([-2.0]), np.array([[-2.5], [3.5]]))
+    (only,) = coordinates.ways_round(region, ("a",), period, np.array([-2.0]), np.array([[-2.5], [3.5]]))
     assert only[1].intervals["a"].low == pytest.approx(3.0)
-    ((distance, whole),) = circle.ways_round(Region({"a": Interval(0.0, 7.0)}), ("a",), period, np.array([-2.0]), free)
+    ((distance, whole),) = coordinates.ways_round(
+        Region({"a": Interval(0.0, 7.0)}), ("a",), period, np.array([-2.0]), free
+    )
     assert distance == 0.0
     assert whole.intervals == {}
 
 
 def test_values_are_moved_by_whole_periods_where_there_is_one() -> None:
-    moved = circle.nearest_turn([10.0, 10.0], [0.0, 0.0], np.array([TURN, np.inf]))
+    moved = coordinates.nearest_turn([10.0, 10.0], [0.0, 0.0], np.array([TURN, np.inf]))
     assert moved == pytest.approx([10.0 - 2 * TURN, 10.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oc_baseline_node.problems.corridor import curvature, in_plane, path_car
+from oc_baseline_node.problems.coordinates import curvature, in_plane, path_car
 from oc_baseline_node.values.value_file import load_network
 
 from ctrl_rl_core import Outcome, TaskSets, load_navigation_task, make_system

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oc_baseline_node.mpc.initial_guess import InitialGuesses, braking_guess
-from oc_baseline_node.mpc.shortest_path import ShortestPathPlanner
+from oc_baseline_node.mpc.initial_guess import InitialGuesses, ShortestPathPlanner, braking_guess
 
 from ctrl_rl_core import Region, load_navigation_task, make_system
 from oc_baseline_node import Mpc, draw_start, formulate

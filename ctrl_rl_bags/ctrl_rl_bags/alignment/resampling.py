@@ -128,6 +128,10 @@ _LIKE = 0.25
 def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Array:
     """Return the commands that acted during steps (n, columns); NaN where none did for half of the step.
 
+    A command acts from its time until the next one, for a second at most: then the base stops by itself. A step gets
+    the command that acted for more than half of it, so that a millisecond between scan and command changes nothing;
+    where no command did, the step gets the mean of those that acted.
+
     Args:
         commands: Commands by the time from which they act.
         begins: Beginnings of the steps (n,) [ns].

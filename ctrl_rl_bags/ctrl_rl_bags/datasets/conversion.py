@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from ctrl_rl_core.io.atomic_write import temporary_beside
 from ctrl_rl_core.io.file_checks import raise_as
 
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
@@ -145,11 +146,14 @@ def _new_folder(output: Path) -> Iterator[Path]:
     """Give a folder that gets its name when all is written, and is removed otherwise."""
     if output.exists():
         raise DatasetError(f"{output} exists: name another folder")
-    temporary = output.with_name(f".{output.name}.{os.getpid()}.tmp")
+    temporary = temporary_beside(output)
     temporary.mkdir(parents=True)
     try:
         yield temporary
         temporary.rename(output)
+    except OSError as error:  # of a full disk, which each library words in another way
+        reason = os.strerror(error.errno) if error.errno else error
+        raise DatasetError(f"{output} cannot be written: {reason}") from None
     finally:
         with suppress(FileNotFoundError):
             shutil.rmtree(temporary)

@@ -6,9 +6,11 @@ layout and what the bags said beside it lie in `metadata.json` under `ctrl_rl`.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,44 @@ _PIECE = 1000
 _MOST_EPISODES = 10_000_000
 
 
+class _Disk(io.FileIO):
+    """A file that takes every write: one that fails makes HDF5 end the process when it closes the file.
+
+    Attributes:
+        failure: The first write that failed; `raise_failure` says so.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write, or note that it cannot be done."""
+        view = memoryview(data).cast("B")
+        try:
+            done = 0
+            while done < len(view):
+                done += super().write(view[done:]) or 0
+        except OSError as error:
+            self.failure = self.failure or error
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size, or note that it cannot be done."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+        return size or 0
+
+    def raise_failure(self) -> None:
+        """Raise the first failure.
+
+        Raises:
+            OSError: A write has failed.
+        """
+        if self.failure is not None:
+            raise self.failure
+
+
 class MinariWriter:
     """Writes one dataset into a folder.
 
@@ -58,7 +98,8 @@ class MinariWriter:
     def __init__(self, folder: Path, layout: Layout, name: str) -> None:
         self._folder, self._layout, self._name = folder, layout, name
         (folder / DATA).parent.mkdir(parents=True)
-        self._file = h5py.File(folder / DATA, "w", track_order=True)
+        self._disk = _Disk(folder / DATA, "w+")
+        self._file = h5py.File(self._disk, "w", track_order=True)
         self._group: h5py.Group | None = None
         self._episodes = self._steps = 0
 
@@ -90,10 +131,13 @@ class MinariWriter:
             group.attrs["total_steps"] = len(group["rewards"])
             self._episodes += 1
             self._group = None
+        self._disk.raise_failure()
 
     def close(self, sources: list[str]) -> None:
         """Finish the dataset; `sources` names the bags."""
         self._file.close()
+        self._disk.close()
+        self._disk.raise_failure()
         columns = self._layout.columns
         spaces = {
             name.removeprefix(_OBSERVATION): _space(column)
@@ -117,7 +161,9 @@ class MinariWriter:
 
     def abort(self) -> None:
         """Give the open file back."""
-        self._file.close()
+        with suppress(OSError, RuntimeError):  # of a file that is incomplete
+            self._file.close()
+        self._disk.close()
 
 
 def read_info(folder: Path) -> Mapping[str, Any]:

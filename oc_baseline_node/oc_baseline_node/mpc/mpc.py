@@ -18,7 +18,7 @@ from oc_baseline_node.mpc.limited import LimitedSolver
 from oc_baseline_node.mpc.solution import MpcSolution, checked, unsolved
 from oc_baseline_node.mpc.sqp import StageSqp
 from oc_baseline_node.mpc.transcription import SolverName, model_rates, trajectory_cost, transcribe, variable_bounds
-from oc_baseline_node.problems.circle import nearest_turn
+from oc_baseline_node.problems.coordinates import nearest_turn
 from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from ctrl_rl_core import (
     task_digest,
 )
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.problems import circle
-from oc_baseline_node.problems.corridor import in_plane, path_car
+from oc_baseline_node.problems import coordinates
+from oc_baseline_node.problems.coordinates import in_plane, path_car
 
 Array = NDArray[np.float64]
 Form = Literal["free_speed", "free_time", "letter"]
@@ -108,18 +108,18 @@ class OptimalControlProblem:
     @cached_property
     def periods(self) -> Array:
         """Period of each state (n,), inf where it is on no circle."""
-        return circle.periods(self.system, self.positions)
+        return coordinates.periods(self.system, self.positions)
 
     def bounds_around(self, state: Array) -> Array:
         """Return the state bounds (2, n) of trajectories from a state (n,), on a circle moved by whole periods."""
-        return circle.bounds_around(state, self.state_bounds, self.periods)
+        return coordinates.bounds_around(state, self.state_bounds, self.periods)
 
     def ways_round(self, state: Array, bounds: Array) -> list[tuple[float, Region]]:
         """Return the terminal set as it may be reached from a state (n,) within bounds (2, n), the nearest way first.
 
         Beside each stands its distance in periods.
         """
-        return circle.ways_round(self.terminal, self.system.state_names, self.periods, state, bounds)
+        return coordinates.ways_round(self.terminal, self.system.state_names, self.periods, state, bounds)
 
     def task_states(self, states: ArrayLike) -> Array:
         """Return states (..., n) of `system` as states (..., n) of the task's own system."""
@@ -160,7 +160,7 @@ class OptimalControlProblem:
     def terminal_violation(self, state: ArrayLike) -> float:
         """Return by how much a state (n,) misses the terminal set [m, rad, ...]; zero or less inside."""
         state = np.asarray(state, dtype=float)
-        out = circle.outside(self.terminal, self.system.state_names, self.periods, state)
+        out = coordinates.outside(self.terminal, self.system.state_names, self.periods, state)
         if self.terminal.disc is not None:
             out = max(out, float(self.terminal.disc.signed_distance(state[self.positions])))
         return out

@@ -54,7 +54,7 @@ def _train(options: Train) -> int:
 
     groups = GROUPS if "all" in options.compare else options.compare
     methods = options.methods or tuple(dict.fromkeys(name for group in groups for name in GROUPS[group])) or _MAIN
-    runs = oc_runs(task, methods, options.seeds, options.value)
+    runs = oc_runs(task, methods, options.seeds, options.value, options.engine)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
     train_and_collect(options, task, runs, "oc_training", collect, table, options.run_options())

@@ -8,7 +8,7 @@ from ctrl_rl_core.tasks.rewards import tilt_reward
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, TaskSets, terminal_reward
-from oc_baseline_node.problems.circle import nearest_turn
+from oc_baseline_node.problems.coordinates import nearest_turn
 
 Array = NDArray[np.float64]
 

@@ -64,6 +64,9 @@ class NetworkPolicy(JointPolicy):
 class Autoregressive(NetworkPolicy):
     """pi-hat(o_U | o_not-U, s) = prod_i pi(o_i | known options, s), i through U in the order of the agents.
 
+    What the others run is known first, then each choice joins what is known; absent agents never do. Every conditional
+    is normalised, but those of different running sets need not share one joint (arXiv 2205.13554).
+
     Args:
         tensors: Tensors of the trunk; `state` and `known`, whose sum is the hidden layer (`norm`); `head` (sum K).
         counts: Number of options of each agent.
@@ -179,6 +182,10 @@ _SWEEPS = 5
 
 class Mixture(NetworkPolicy):
     """A mixture of R products.
+
+    sum_r w_r(s) prod_i p_ri(o_i | s) has exact conditionals for any set of running agents. Given what others run it is
+    a mixture again, with weights w'_r proportional to w_r prod_running p_rj(o_j): log-probability and draw cost O(R
+    sum_i K_i), for hundreds of robots.
 
     Args:
         tensors: Tensors of the trunk, of `weights` (R) and of `head` (R sum K).

@@ -1,6 +1,9 @@
 """The messages between robots and coordinator, field by field as in ctrl_rl_msgs, without ROS. Stamps are in seconds.
 
-An annotation holds a field's range, see `message_checks`. The message files say what each field means.
+`checks_of` returns the checks of a type by field; each message passes them once, where it is converted. What depends on
+a team (sizes, names, options, epochs, order) is checked by the coordinator and the clients.
+
+An annotation holds a field's range; the message files say what each field means.
 """
 
 from __future__ import annotations

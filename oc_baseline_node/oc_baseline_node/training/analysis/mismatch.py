@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from ctrl_rl_core.systems.system import System
 from ctrl_rl_core.tasks.task import NavigationTask
-from ctrl_rl_learning.sb3.roll_out import EvaluatedEpisode, play_episode
 from numpy.typing import NDArray
 from sim_bridge.environments import NavigationEnv
 
+from ctrl_rl_core import Episode, Step, drive
 from oc_baseline_node.mpc.mpc import Mpc
 from oc_baseline_node.mpc.receding_horizon import RecedingHorizon
 from oc_baseline_node.problems.problem import formulate
@@ -95,7 +96,7 @@ def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
 
 def run_mpc_episodes(
     task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
-) -> list[tuple[EvaluatedEpisode, float]]:
+) -> list[tuple[Episode[Any], float]]:
     """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
 
     Args:
@@ -116,15 +117,28 @@ def run_mpc_episodes(
         environment.close()
 
 
+class _MpcDriver:
+    """MPC on the true state, as a driver of the environment."""
+
+    def __init__(self, mpc: Mpc, progress: Callable[[], object]) -> None:
+        self._controller, self._task, self._progress = RecedingHorizon(mpc), mpc.problem.task, progress
+        self.state: Array = np.empty(0)
+        self.solved: list[bool] = []
+
+    def look(self, step: Step[Any]) -> None:
+        """Take the true state."""
+        self.state = step.info["state"]
+
+    def command(self, _: object) -> Any:
+        u = self._controller.control(self.state)
+        self.solved.append(self._controller.solved)
+        self._progress()
+        return action_of(self._task, u)
+
+
 def _drive(
     environment: NavigationEnv, seed: int, mpc: Mpc, progress: Callable[[], object]
-) -> tuple[EvaluatedEpisode, float]:
-    controller, solved = RecedingHorizon(mpc), list[bool]()
-
-    def act(_: object, state: Array) -> NDArray[np.float32]:
-        u = controller.control(state)
-        solved.append(controller.solved)
-        progress()
-        return action_of(mpc.problem.task, u)
-
-    return play_episode(environment, seed, act), float(np.mean(solved))
+) -> tuple[Episode[Any], float]:
+    driver = _MpcDriver(mpc, progress)
+    (episode,) = drive(environment, driver, seeds=(seed,), keep=True, watch=driver.look)
+    return episode, float(np.mean(driver.solved))

@@ -11,21 +11,21 @@ import gymnasium
 from ctrl_rl_core.values.value_function import check_function
 from ctrl_rl_learning.sb3.algorithms import make_algorithm
 from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment
+from ctrl_rl_learning.sb3.fleet import fits_fleet
 from ctrl_rl_learning.sb3.training import SimulatedRun
 from ctrl_rl_learning.study.run import find_method
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask
 from oc_baseline_node.errors import OcError
-from oc_baseline_node.training.baselines.baselines import OcBaseline
+from oc_baseline_node.training.baselines.control_variates import QPropPpo, SteinPpo
 from oc_baseline_node.training.baselines.policy_gradient import (
     BaselineBuffer,
     BaselinePolicy,
     CorrectedPolicy,
     FrozenValueTrpo,
+    OcBaseline,
 )
-from oc_baseline_node.training.baselines.q_prop import QPropPpo
-from oc_baseline_node.training.baselines.stein import SteinPpo
 from oc_baseline_node.training.experiments.methods import METHODS, Method
 from oc_baseline_node.values.mlp_value import MlpValue
 from oc_baseline_node.values.value_file import find_value, load_network
@@ -61,12 +61,14 @@ class OcRun(SimulatedRun):
         method_name: One of `METHODS`.
         seed: Seed of everything random.
         value: File of V_oc; the network that comes with the package unless given.
+        engine: "planar" to learn in a fleet where the task fits one, or "auto" for one robot at a time in PyBullet.
     """
 
     task: NavigationTask
     method_name: str
     seed: int
     value: Path | None = None
+    engine: str = "planar"
 
     @property
     def name(self) -> str:
@@ -93,7 +95,18 @@ class OcRun(SimulatedRun):
             "seed": self.seed,
             "discount": self.discount,
             "value_digest": value,
+            **({"engine": self.engine} if self.in_fleet else {}),
         }
+
+    @property
+    def in_fleet(self) -> bool:
+        """Whether it learns in a fleet."""
+        return self.engine == "planar" and fits_fleet(self.task)
+
+    @property
+    def timeout_ends(self) -> bool:
+        """Whether the task pays for a time-out, see `PaidTimeOut`."""
+        return self.task.rewards.timeout != 0.0
 
     @property
     def network(self) -> MlpValue:
@@ -154,7 +167,7 @@ class OcRun(SimulatedRun):
             changes |= {"policy": CorrectedPolicy, "policy_kwargs": {"baseline": self.baseline()}}
         elif method.baseline == "oc":
             changes["rollout_buffer_kwargs"] = {"baseline": self.baseline()}
-        return make_algorithm(method.algorithm, self.environment, self.seed, samples, **changes)
+        return make_algorithm(method.algorithm, self.environments(method.algorithm), self.seed, samples, **changes)
 
     def notes(self, model: BaseAlgorithm) -> dict[str, Any]:
         """Return the `advantages` of each roll-out since the last call, see `BaselineBuffer.ranges`."""
@@ -163,8 +176,12 @@ class OcRun(SimulatedRun):
 
 
 def oc_runs(
-    task: NavigationTask, methods: Sequence[str] = tuple(METHODS), seeds: int = 5, value: Path | None = None
+    task: NavigationTask,
+    methods: Sequence[str] = tuple(METHODS),
+    seeds: int = 5,
+    value: Path | None = None,
+    engine: str = "planar",
 ) -> list[OcRun]:
     """Return all runs of a task, those that matter most first."""
     ordered = sorted(methods, key=list(METHODS).index)
-    return [OcRun(task, method, seed, value) for method in ordered for seed in range(seeds)]
+    return [OcRun(task, method, seed, value, engine) for method in ordered for seed in range(seeds)]

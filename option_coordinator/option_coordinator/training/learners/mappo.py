@@ -141,7 +141,12 @@ class WeightedImitationSettings(MappoSettings):
 
 
 class WeightedImitation(Mappo):
-    """Raises log pi-hat(o_U | o_not-U, s) of the options that brought more than the value expected."""
+    """Raises log pi-hat(o_U | o_not-U, s) of the options that brought more than the value expected.
+
+    Cloning weighted by exp(advantage / temperature): Wang et al. 2018 (MARWIL), with the joint conditional policy in
+    place of a single agent's and gamma^tau in place of gamma. Whatever chose the options, the rewards in the bags say
+    which of them to keep.
+    """
 
     SETTINGS = WeightedImitationSettings
 
