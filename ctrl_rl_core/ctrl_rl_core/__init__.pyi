@@ -7,8 +7,10 @@ from .driving.drive import Driver as Driver
 from .driving.drive import Episode as Episode
 from .driving.drive import Episodes as Episodes
 from .driving.drive import Filter as Filter
+from .driving.drive import FunctionDriver as FunctionDriver
 from .driving.drive import Step as Step
 from .driving.drive import drive as drive
+from .driving.drive import drive_fleet as drive_fleet
 from .driving.drive_safety import DriveSafety as DriveSafety
 from .driving.lidar_velocity_node import LIDAR_PARAMETERS as LIDAR_PARAMETERS
 from .driving.lidar_velocity_node import LidarVelocityNode as LidarVelocityNode

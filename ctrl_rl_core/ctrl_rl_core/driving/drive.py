@@ -38,6 +38,18 @@ class Driver(Protocol[SeenIn]):
         """
 
 
+class FunctionDriver(Generic[Seen]):
+    """A function from what is sensed to a command, as a driver."""
+
+    def __init__(self, decide: Callable[[Seen], Any]) -> None:
+        self._decide = decide
+
+    def command(self, sensors: Seen, /) -> Command:
+        """Return the command (2,)."""
+        command: Command = self._decide(sensors)
+        return command
+
+
 class Filter(Protocol[SeenIn]):
     """Stands between driver and robot."""
 
@@ -201,6 +213,42 @@ def drive(
         watch: Function that is called in each state, the first and the last one included.
     """
     return Episodes(_play(robot, driver, filter, seed, keep, watch) for seed in seeds)
+
+
+class Fleet(Protocol[SeenOut]):
+    """Robots that are driven side by side."""
+
+    def begin(self, seeds: Sequence[int], /) -> tuple[SeenOut, Array]:
+        """Begin an episode of each seed; return what all sense, and their states (N, n)."""
+
+    def step(self, commands: Any, /) -> tuple[SeenOut, Array, Array, NDArray[np.intp]]:
+        """Hold a command of each; return what all sense then, states (N, n), rewards (N,) and outcomes (N,)."""
+
+
+def drive_fleet(fleet: Fleet[Seen], decide: Callable[[Seen], Any], seeds: Iterable[int]) -> Episodes[None]:
+    """Drive one episode of each seed, all side by side until the last one has ended; they keep their states.
+
+    Args:
+        fleet: Robots to drive.
+        decide: Returns the commands of all for what they sense.
+        seeds: Seeds of the episodes, one for each robot.
+    """
+    chosen = list(seeds)
+    if not chosen:
+        return Episodes(())
+    sensed, states = fleet.begin(chosen)
+    traces = [[Step[None](None, None, 0.0, {"state": state})] for state in states]
+    outcomes = np.full(len(chosen), int(Outcome.RUNNING))
+    while (running := np.flatnonzero(outcomes == Outcome.RUNNING)).size:
+        sensed, states, rewards, told = fleet.step(decide(sensed))
+        outcomes[running] = told[running]
+        for robot in running.tolist():
+            info = {"state": states[robot], "outcome": Outcome(outcomes[robot]).name}
+            traces[robot].append(Step(None, None, float(rewards[robot]), info))
+    return Episodes(
+        Episode(seed, len(trace) - 1, sum(step.reward for step in trace), 0.0, trace[-1].info, tuple(trace))
+        for seed, trace in zip(chosen, traces, strict=True)
+    )
 
 
 def _play(

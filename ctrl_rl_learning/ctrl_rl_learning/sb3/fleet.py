@@ -14,10 +14,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from ctrl_rl_core import Actor, NavigationTask, Outcome
+from ctrl_rl_core import Actor, Episodes, NavigationTask, Outcome, drive_fleet
 from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
 from ctrl_rl_learning.sb3.environment import Vector, observation_scales
-from ctrl_rl_learning.sb3.roll_out import EvaluatedEpisode
 from sim_bridge import PlanarFleet
 
 Array = NDArray[np.float64]
@@ -154,33 +153,37 @@ def fits_fleet(task: NavigationTask) -> bool:
     return not (task.corridor or task.movers or task.randomisation)
 
 
+class _ScaledFleet:
+    """A fleet for `drive_fleet`: what its robots observe is scaled as for learners."""
+
+    def __init__(self, task: NavigationTask, reward: FleetReward | None) -> None:
+        self._task, self._reward = task, reward
+        self._middle, self._unit = observation_scales(task)
+
+    def begin(self, seeds: Sequence[int]) -> tuple[NDArray[np.floating], Array]:
+        """Begin an episode of each seed."""
+        self._fleet = PlanarFleet(self._task, len(seeds))
+        for robot, seed in enumerate(seeds):
+            self._fleet.begin(robot, seed)
+        states = self._fleet.states()
+        if self._reward is not None:
+            self._reward.begin(range(len(seeds)), states)
+        return self._observe(), states
+
+    def step(self, actions: Array) -> tuple[NDArray[np.floating], Array, Array, NDArray[np.intp]]:
+        """Hold actions (N, 2) for the task's time step."""
+        outcomes = self._fleet.step(actions).copy()
+        states, paid = self._fleet.states(), self._fleet.rewards()
+        if self._reward is not None:
+            paid = self._reward.pay(states, outcomes, paid)
+        return self._observe(), states, paid, outcomes
+
+    def _observe(self) -> NDArray[np.floating]:
+        return (self._fleet.observations() - self._middle) / self._unit
+
+
 def evaluate_in_fleet(
     actor: Actor, task: NavigationTask, seeds: Iterable[int], reward: FleetReward | None = None
-) -> list[EvaluatedEpisode]:
-    """Return the episodes of a deterministic policy from seeds, all played side by side."""
-    chosen = list(seeds)
-    if not chosen:
-        return []
-    fleet, (middle, unit) = PlanarFleet(task, len(chosen)), observation_scales(task)
-    for robot, seed in enumerate(chosen):
-        fleet.begin(robot, seed)
-    states = [fleet.states()]
-    if reward is not None:
-        reward.begin(range(len(chosen)), states[0])
-    running = np.ones(len(chosen), dtype=bool)
-    lengths, totals = np.zeros(len(chosen), dtype=int), np.zeros(len(chosen))
-    outcomes = fleet.outcomes.copy()
-    while running.any():
-        outcomes = fleet.step(actor.scaled_action((fleet.observations() - middle) / unit)).copy()
-        states.append(fleet.states())
-        paid = fleet.rewards()
-        if reward is not None:
-            paid = reward.pay(states[-1], outcomes, paid)
-        totals += np.where(running, paid, 0.0)
-        lengths += running
-        running &= outcomes == Outcome.RUNNING
-    ways = np.array(states)
-    return [
-        EvaluatedEpisode(Outcome(outcomes[robot]).name, ways[: lengths[robot] + 1, robot], float(totals[robot]))
-        for robot in range(len(chosen))
-    ]
+) -> Episodes[None]:
+    """Return the episodes of a deterministic policy from seeds, all played side by side, with their states."""
+    return drive_fleet(_ScaledFleet(task, reward), actor.scaled_action, seeds)

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from ctrl_rl_core import (
     Actor,
+    Episode,
     NavigationTask,
     Outcome,
     PolicyError,
@@ -31,11 +32,11 @@ from ctrl_rl_learning.sb3.algorithms import extract_actor, number_of_environment
 from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, Environment, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
-from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
+from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
 from ctrl_rl_learning.sb3.state_visitation import Visits
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
 
-Tester = Callable[[Actor, int, int], list[EvaluatedEpisode]]
+Tester = Callable[[Actor, int, int], Sequence[Episode[Any]]]
 """Returns so many episodes of a policy, from a seed and those that follow it."""
 _EVALUATION_SEED = 1_000_000
 
@@ -105,7 +106,7 @@ class SimulatedRun(Run):
         with ExitStack() as opened:
             kept: list[Environment] = []
 
-            def test(actor: Actor, episodes: int, seed: int) -> list[EvaluatedEpisode]:
+            def test(actor: Actor, episodes: int, seed: int) -> Sequence[Episode[Any]]:
                 if episodes and not kept:
                     kept.append(self.environment())
                     opened.callback(kept[0].close)
@@ -194,7 +195,7 @@ class _Learning:
             "paths": [{"outcome": one.outcome, "states": one.states.round(4).tolist()} for one in episodes[:3]],
         }
 
-    def _deployed_episodes(self, actor: Actor) -> list[EvaluatedEpisode]:
+    def _deployed_episodes(self, actor: Actor) -> Sequence[Episode[Any]]:
         count = self._options.final_evaluations
         if not count:
             return []

@@ -9,14 +9,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from ctrl_rl_learning.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
 from ctrl_rl_learning.sb3.environment import Environment, make_environment, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet, fits_fleet
-from ctrl_rl_learning.sb3.roll_out import SUCCESS, EvaluatedEpisode, evaluate
+from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
 
-from ctrl_rl_core import Actor, NavigationTask, interface_of, load_navigation_task, task_digest
+from ctrl_rl_core import Actor, Episodes, NavigationTask, interface_of, load_navigation_task, task_digest
 from ttr_reward_node.rewards.progress import TimeToReach
 from ttr_reward_node.solving import solve_value
 from ttr_reward_node.training.time_to_reach_reward import TimeToReachReward
@@ -105,7 +106,7 @@ def _environment(task: NavigationTask, pay: TimeToReach) -> Environment:
 
 def _try(
     actor: Actor, task: NavigationTask, episodes: int, make: Callable[[], Environment], in_fleet: bool
-) -> list[EvaluatedEpisode]:
+) -> Episodes[Any]:
     """Return fresh episodes of a policy."""
     if in_fleet or not episodes:
         return evaluate_in_fleet(actor, task, range(_TEST_SEED, _TEST_SEED + episodes))
