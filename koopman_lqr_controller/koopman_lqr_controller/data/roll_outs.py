@@ -8,17 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ctrl_rl_core import DrivenRobot, drive
 from koopman_lqr_controller.arrays import Array
-
-
-class Environment(Protocol):
-    """Environment in Gymnasium's form, with actions in [-1, 1]."""
-
-    def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode and return an observation."""
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Hold an action; return observation, reward, whether it terminated or was truncated, and more."""
 
 
 class Policy(Protocol):
@@ -68,7 +59,7 @@ def projected(project: Callable[[Array], Array], episodes: Sequence[Episode]) ->
 
 def roll_out(
     controller: Policy,
-    environment: Environment,
+    environment: DrivenRobot[Any],
     seed: int,
     noise: float = 0.0,
     keep: bool = False,
@@ -77,31 +68,45 @@ def roll_out(
 
     Args:
         controller: Policy that acts.
-        environment: Environment to act in.
+        environment: DrivenRobot[Any] to act in.
         seed: Seed of the episode and of the noise.
         noise: Standard deviation of what is added to u before saturation: it excites the model.
         keep: Whether features and actions are wanted; else they are empty.
     """
-    random = np.random.default_rng(seed)
-    x, info = environment.reset(seed=seed)
-    features, actions, total, beyond, steps, over = [], [], 0.0, 0.0, 0, False
-    while not over:
-        psi = controller.encoder(x)
-        u = controller.control(controller.project(psi))
-        action = controller.saturate(u + noise * random.standard_normal(u.shape) if noise else u)
-        x, reward, terminated, truncated, info = environment.step(action)
-        total, steps, beyond = total + float(reward), steps + 1, beyond + float(np.mean(np.abs(u) > 1.0))
-        over = terminated or truncated
-        if keep:
-            features.append(psi)
-            actions.append(action)
-    if keep:
-        features.append(controller.encoder(x))
-    return Episode(np.array(features), np.array(actions), total, steps, beyond / max(1, steps), info, noise)
+    driver = _LatentDriver(controller, noise, np.random.default_rng(seed))
+    (episode,) = drive(environment, driver, seeds=(seed,), keep=keep)
+    features = [controller.encoder(step.sensors) for step in episode.trace[-1:]]
+    actions = [step.command for step in episode.trace[1:]]
+    return Episode(
+        np.array((driver.features if keep else []) + features),
+        np.array(actions),
+        episode.total,
+        episode.steps,
+        driver.beyond / max(1, episode.steps),
+        dict(episode.info),
+        noise,
+    )
+
+
+class _LatentDriver:
+    """A policy as a driver, with noise before saturation, and notes of what it sees and wants."""
+
+    def __init__(self, policy: Policy, noise: float, random: np.random.Generator) -> None:
+        self._policy, self._noise, self._random = policy, noise, random
+        self.features: list[Array] = []
+        self.beyond = 0.0
+
+    def command(self, x: Any) -> Array:
+        psi = self._policy.encoder(x)
+        self.features.append(psi)
+        u = self._policy.control(self._policy.project(psi))
+        self.beyond += float(np.mean(np.abs(u) > 1.0))
+        noise = self._noise * self._random.standard_normal(u.shape) if self._noise else 0.0
+        return self._policy.saturate(u + noise)
 
 
 def evaluate(
-    controller: Policy, environment: Environment, episodes: int, seed: int, keep: bool = False
+    controller: Policy, environment: DrivenRobot[Any], episodes: int, seed: int, keep: bool = False
 ) -> list[Episode]:
     """Return the episodes `seed`, `seed` + 1 and so on; features and actions only where they are to `keep`."""
     return [roll_out(controller, environment, seed + episode, keep=keep) for episode in range(episodes)]
@@ -128,6 +133,8 @@ def outcomes(episodes: Sequence[Episode]) -> dict[str, int]:
     return {outcome: ended.count(outcome) for outcome in sorted(set(ended))}
 
 
-def noisy_roll_outs(controller: Policy, environment: Environment, noises: Sequence[float], seed: int) -> list[Episode]:
+def noisy_roll_outs(
+    controller: Policy, environment: DrivenRobot[Any], noises: Sequence[float], seed: int
+) -> list[Episode]:
     """Return one episode for each noise."""
     return [roll_out(controller, environment, seed + index, noise, keep=True) for index, noise in enumerate(noises)]

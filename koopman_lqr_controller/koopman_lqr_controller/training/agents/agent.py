@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 import torch
+from ctrl_rl_learning.torch.optimization import gradient_step
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -102,9 +103,4 @@ class Agent(nn.Module, ABC):
 
     def _step(self, losses: Mapping[str, Tensor]) -> None:
         """Go down losses, by the names of their optimisers, with one backward pass."""
-        optimizers = [self.optimizers[name] for name in losses]
-        for optimizer in optimizers:
-            optimizer.zero_grad()
-        torch.autograd.backward(list(losses.values()))
-        for optimizer in optimizers:
-            optimizer.step()
+        gradient_step([self.optimizers[name] for name in losses], list(losses.values()))

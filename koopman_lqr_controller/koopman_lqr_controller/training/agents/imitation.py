@@ -14,6 +14,7 @@ from itertools import chain
 
 import numpy as np
 import torch
+from ctrl_rl_learning.torch.optimization import gradient_step
 from torch import Tensor
 
 from koopman_lqr_controller.arrays import Array
@@ -154,9 +155,7 @@ class _Imitation:
         loss = info_nce(z, keys, self._W)
         loss = loss + (torch.tanh(k - z @ K.T) - u).square().sum(dim=1).mean()
         loss = loss + settings.model_weight * self._lqr.model_loss(z, u, z_next)
-        self._optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        self._optimizer.step()
+        gradient_step(self._optimizer, loss)
         follow(self._keys, self._encoder, settings.key_rate)
 
     def deploy(self) -> LatentController:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from ctrl_rl_learning.torch.optimization import gradient_step
 from torch import Tensor, nn
 
 from koopman_lqr_controller.control.latent_controller import LatentController
@@ -96,9 +97,7 @@ class TwoStageLearner(ReplayLearner):
         x, u, x_next = (torch.from_numpy(it).to(self._device).float() for it in (data.x, data.u, data.x_next))
         model = self._model
         loss = model.linear.model_loss(model.lift(x), u, model.lift(x_next))
-        self._optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        self._optimizer.step()
+        gradient_step(self._optimizer, loss)
 
     def candidates(self) -> dict[str, LatentController]:
         """Return the LQR of the least-squares model; where that has none, of one whose modes all fade."""

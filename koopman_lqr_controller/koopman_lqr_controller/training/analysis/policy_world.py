@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import load_navigation_task, task_digest
+from ctrl_rl_core import FunctionDriver, drive, load_navigation_task, task_digest
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
@@ -91,18 +91,14 @@ def run_episode(
         noise: Standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
         look: Called in each state, after it was observed.
     """
-    random = np.random.default_rng(seed)
-    x, info = environment.reset(seed=seed)
-    look()
-    seen, done, paid, over = [x], [], [], False
-    half = 0.5 * (loop.high - loop.low)
-    while not over:
+    random, half = np.random.default_rng(seed), 0.5 * (loop.high - loop.low)
+    controls: list[Array] = []
+
+    def act(x: NDArray[Any]) -> NDArray[np.float32]:
         u = loop.control(loop.latent(x))
-        u = np.clip(u + noise * half * random.standard_normal(u.shape), loop.low, loop.high)
-        x, reward, terminated, truncated, info = environment.step(loop.action(u).astype(np.float32))
-        look()
-        seen.append(x)
-        done.append(u)
-        paid.append(float(reward))
-        over = terminated or truncated
-    return EpisodeTrajectory(np.array(seen), np.array(done), np.array(paid), info)
+        controls.append(np.clip(u + noise * half * random.standard_normal(u.shape), loop.low, loop.high))
+        return loop.action(controls[-1]).astype(np.float32)
+
+    (episode,) = drive(environment, FunctionDriver(act), seeds=(seed,), keep=True, watch=lambda _: look())
+    seen, rewards = [step.sensors for step in episode.trace], [step.reward for step in episode.trace[1:]]
+    return EpisodeTrajectory(np.array(seen), np.array(controls), np.array(rewards), episode.info)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ctrl_rl_core import DrivenRobot
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import (
-    Environment,
     Episode,
     Policy,
     evaluate,
@@ -93,7 +93,7 @@ class CandidateSearch:
     def __init__(
         self,
         learnt: LatentController,
-        environment: Environment,
+        environment: DrivenRobot[Any],
         config: ConsolidationConfig,
         goal: bool,
         seed: int,

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ctrl_rl_core import DrivenRobot
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import (
-    Environment,
     Episode,
     Policy,
     count_interaction,
@@ -54,7 +54,7 @@ class ConsolidationResult:
 
 def consolidate(
     learnt: LatentController,
-    environment: Environment,
+    environment: DrivenRobot[Any],
     config: ConsolidationConfig | None = None,
     goal: bool = True,
     seed: int = 0,
@@ -147,7 +147,7 @@ def _errors(controller: LatentController, z: Sequence[Array], actions: Sequence[
 def consolidate_policy(
     file: Path,
     problem: BenchmarkTask,
-    environment: Environment,
+    environment: DrivenRobot[Any],
     config: ConsolidationConfig,
     command: str = "",
     **how: Any,

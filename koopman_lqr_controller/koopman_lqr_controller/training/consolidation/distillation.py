@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from ctrl_rl_learning.torch.optimization import gradient_step
 from torch import Tensor, nn
 
 from koopman_lqr_controller.arrays import Array
@@ -189,10 +190,7 @@ class _Training:
         bounded = bounded + _LEAK * (u - bounded)
         loss = (bounded - data.wanted[rows]).square().sum(dim=-1).mean() / self._scale
         loss = loss + self._prediction_loss(z, u, K, data.done[rows], data.groups[rows])
-        self._optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self._linear, _LARGEST_GRADIENT)
-        self._optimizer.step()
+        gradient_step(self._optimizer, loss, self._linear, largest_norm=_LARGEST_GRADIENT)
         self._schedule.step()
 
     def _prediction_loss(self, z: Tensor, u: Tensor, K: Tensor, done: Tensor, groups: Tensor) -> Tensor:
