@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 
 from ctrl_rl_core.values.jit_cache import cached_njit
 
-from ttr_reward_node.kernels import boundary_conditions, lax_friedrichs_sweep, node_sweep, safety_sweep, sweep
+from ttr_reward_node.kernels import (
+    boundary_conditions,
+    lax_friedrichs_sweep,
+    node_sweep,
+    safety_sweep,
+    slab_sweep,
+    sweep,
+)
 
 KERNEL_FILES = (
     "stencil.py",
@@ -23,6 +30,9 @@ KERNEL_FILES = (
     "boundary_conditions.py",
     "sweep.py",
     "node_sweep.py",
+    "slab_stencil.py",
+    "slab_interpolation.py",
+    "slab_sweep.py",
     "lax_friedrichs_sweep.py",
     "safety_stencil.py",
     "safety_sweep.py",
@@ -30,11 +40,12 @@ KERNEL_FILES = (
 
 
 class Kernels(NamedTuple):
-    """Those of the modules `boundary_conditions`, `sweep`, `node_sweep`, `lax_friedrichs_sweep` and `safety_sweep`."""
+    """Those of the modules that are imported above."""
 
     find_outcomes: Callable[..., Any]
     sweep: Callable[..., Any]
     sweep_nodes: Callable[..., Any]
+    sweep_slabs: Callable[..., Any]
     lax_friedrichs: Callable[..., Any]
     step_back: Callable[..., Any]
 
@@ -61,6 +72,10 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return node_sweep.sweep_nodes(*arguments)
 
+    def sweep_slabs(*arguments: Any) -> Any:
+        assert checksum >= 0
+        return slab_sweep.sweep_slabs(*arguments)
+
     def lax_friedrichs(*arguments: Any) -> Any:
         assert checksum >= 0
         return lax_friedrichs_sweep.sweep(*arguments)
@@ -69,6 +84,6 @@ def _make(checksum: int) -> Kernels:
         assert checksum >= 0
         return safety_sweep.step_back(*arguments)
 
-    entries = (find_outcomes, semi_lagrangian, sweep_nodes, lax_friedrichs, step_back)
+    entries = (find_outcomes, semi_lagrangian, sweep_nodes, sweep_slabs, lax_friedrichs, step_back)
     # Without the interpreter's lock, so that threads share a sweep.
     return Kernels(*(cached_njit(entry, error_model="numpy", nogil=True) for entry in entries))

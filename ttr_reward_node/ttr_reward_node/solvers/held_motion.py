@@ -7,7 +7,8 @@ as long as it needs. So the validity of a step does not depend on how much faste
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,20 @@ class Motion:
         out[..., -1, :] = self.moves
         return out
 
+    def hull(self) -> tuple[Array, Array]:
+        """Return the lower and upper corner (k, p, n) [cells] of a box that no path leaves: its control points'."""
+        third = self.durations[..., None] / 3.0
+        points = third * self.first, self.moves - third * self.last, self.moves
+        return reduce(np.minimum, points, np.zeros(1)), reduce(np.maximum, points, np.zeros(1))
+
+    def of(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Motion:
+        """Return the motion of some states under some pairs, one dimension less: (m,) for (k, p)."""
+        return Motion(*(each[row, column] for each in (self.durations, self.moves, self.first, self.last)))
+
+    def along(self, axes: tuple[int, ...]) -> Motion:
+        """Return the motion along some axes alone."""
+        return Motion(self.durations, *(each[..., axes] for each in (self.moves, self.first, self.last)))
+
 
 def move_cells(
     system: System,
@@ -102,7 +117,7 @@ def move_cells(
         patience: Multiple of the duration of the fastest pair at a state after which the others end as well.
     """
     first = _rates(system, x, pairs, spacings)
-    fastest = np.abs(first).max(axis=-1)
+    fastest = _over_axes(np.maximum, np.abs(first))
     moving = np.isfinite(fastest) & (fastest > 0.0)
     h = np.where(moving, cells / np.where(moving, fastest, 1.0), 0.0)
     longest = np.full((len(x), 1), np.inf)
@@ -138,7 +153,7 @@ def _fraction_to_limit(move: Array, room: Room, cells: float) -> Array:
     # From a limit outwards there is no room at all: the step stays as long, and is refused by where it ends.
     limit = np.where(limit < 1e-6, cells, limit)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(move == 0.0, np.inf, limit / np.abs(move)).min(axis=-1))
+        return _over_axes(np.minimum, np.where(move == 0.0, np.inf, limit / np.abs(move)))
 
 
 def _onto_plane(motion: Motion, room: Room, cells: float) -> Motion:
@@ -146,13 +161,13 @@ def _onto_plane(motion: Motion, room: Room, cells: float) -> Motion:
     move, h = motion.moves, motion.durations
     with np.errstate(invalid="ignore", over="ignore"):
         missing = _fraction_to_limit(move, room, cells) - 1.0
-        way = np.abs(move).max(axis=-1)
+        way = _over_axes(np.maximum, np.abs(move))
         near = np.isfinite(missing) & (np.abs(missing) * way < _NUDGE) & (h > 0.0)
         more = np.where(near, missing * h, 0.0)
         move = move + more[..., None] * motion.last
     whole = np.round(move)
     move = np.where(np.abs(move - whole) < _SNAP, whole, move)
-    good = np.isfinite(move).all(axis=-1) & np.isfinite(motion.last).all(axis=-1) & (h > 0.0)
+    good = _over_axes(np.logical_and, np.isfinite(move) & np.isfinite(motion.last)) & (h > 0.0)
     return Motion(np.where(good, h + more, 0.0), np.where(good[..., None], move, 0.0), motion.first, motion.last)
 
 
@@ -211,8 +226,13 @@ def _runge_kutta(
         k2 = system.dynamics(x + (0.5 * dt * spacings) * first, *pairs)
         k3 = system.dynamics(x + 0.5 * dt * k2, *pairs)
         k4 = system.dynamics(x + dt * k3, *pairs)
-        bent = np.abs((k3 - k2) / spacings).max(axis=-1) * h
+        bent = _over_axes(np.maximum, np.abs((k3 - k2) / spacings)) * h
         k2 += k3
         move = dt / 6.0 * (first + (2.0 * k2 + k4) / spacings)
-        lost = ~(np.isfinite(move).all(axis=-1) & (bent <= _BENT))
+        lost = ~(_over_axes(np.logical_and, np.isfinite(move)) & (bent <= _BENT))
     return move, lost & (h > 0.0)
+
+
+def _over_axes(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    """Combine values (..., n) over the n axes: for so few, several times as quick as NumPy's own reduction."""
+    return np.asarray(reduce(combine, (values[..., k] for k in range(values.shape[-1]))))

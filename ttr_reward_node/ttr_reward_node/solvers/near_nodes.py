@@ -21,6 +21,7 @@ from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import share
 
 _FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
+_BEYOND = 1.05  # cells beyond the reach of a step that may matter to it: it goes on in the cell in which it ends
 _BLOCK = 1 << 15  # outcomes that are found at once: each takes about 3 kB on the way
 _ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
 
@@ -66,10 +67,11 @@ def find_near_nodes(
     """
     follow = _follow if follow is None else follow
     failed = problem.blocked() | _beyond_limits(problem, layout)
-    shaped = _flags(problem, layout, steps, failed)
-    values = flat((shaped == FIXED) & ~failed, layout).astype(np.float32)
-    flags = flat(shaped, layout)
-    del shaped, failed
+    target = problem.in_target()
+    values = flat(target & ~failed, layout).astype(np.float32)
+    flags = np.where(flat(target | failed, layout), np.uint8(FIXED), np.uint8(FREE))
+    del target, failed
+    _flag_near(problem, layout, steps, flags)
     boundary = _boundary_conditions(problem, layout)
     plane = [layout.order.index(k) for k in _plane(problem)]
     spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
@@ -188,18 +190,65 @@ def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> Boundar
     )
 
 
-def _flags(problem: TimeToReachProblem, layout: Layout, steps: Steps, failed: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Flag the nodes (grid shape): within a step, and a cell, of the target, or within a step of an obstacle: near."""
-    order = list(layout.order)
-    reach = np.full(len(order), float(steps.lengths.max()))
-    far = float(steps.lengths.max()) * math.hypot(*(problem.axes[k].spacing for k in _plane(problem)))
-    flags = np.where(_near_target(problem, reach + 1.0), np.uint8(NEAR), np.uint8(0))
-    flags = np.array(np.broadcast_to(flags, problem.counts))
-    if problem.clearance is not None:
-        near = problem.clearance.values <= far
-        flags[np.broadcast_to(problem.spread(near), problem.counts)] = NEAR
-    flags[failed | problem.in_target()] = FIXED
-    return flags
+def _flag_near(problem: TimeToReachProblem, layout: Layout, steps: Steps, flags: NDArray[np.uint8]) -> None:
+    """Flag the free nodes (nodes,), flat, near target or obstacle: one of their steps may come within a cell of it."""
+    shaped = flags.reshape(layout.slabs, *layout.counts[len(layout.outer) : len(layout.order)])
+    block = max(1, _BLOCK // math.prod(shaped.shape[1:]))
+    for begin in range(0, layout.slabs, block):
+        slabs = np.arange(begin, min(begin + block, layout.slabs))
+        reach = steps.reach[slabs]
+        near = np.ones((1,) * shaped.ndim, dtype=bool)
+        for condition in _may_reach_target(problem, layout, slabs, reach):
+            near = near & condition
+        if problem.clearance is not None:
+            near = near | _may_reach_obstacle(problem, layout, slabs, reach)
+        some = shaped[slabs[0] : slabs[-1] + 1]
+        some[np.broadcast_to(near, some.shape) & (some == FREE)] = NEAR
+
+
+def _may_reach_target(
+    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
+) -> Iterator[NDArray[np.bool_]]:
+    """Yield conditions, one an axis of the target, that broadcast to the nodes of slabs (k,), shape (k, inner counts).
+
+    `reach` (k, n, 2) [cells] is that of the slabs, as in `Steps`.
+    """
+    names = problem.system.state_names
+    spans = [(names.index(name), *interval) for name, interval in problem.target.intervals.items()]
+    if (disc := problem.target.disc) is not None:
+        middles = zip(position_indices(names), disc.centre, strict=True)
+        spans += [(k, middle - disc.radius, middle + disc.radius) for k, middle in middles]
+    for k, low, high in spans:
+        axis = problem.axes[k]
+        nodes = _on_slabs(layout, problem.along(k, axis.nodes), slabs) / axis.spacing
+        ahead = reach[:, layout.order.index(k)].reshape(-1, *(1,) * len(layout.inner), 2)
+        lower, upper = nodes + (ahead[..., 0] - _BEYOND), nodes + (ahead[..., 1] + _BEYOND)
+        turns = (-axis.count, 0, axis.count) if axis.periodic else (0,)
+        meets = [(upper + t >= low / axis.spacing) & (lower + t <= high / axis.spacing) for t in turns]
+        yield np.logical_or.reduce(meets)
+
+
+def _may_reach_obstacle(
+    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
+) -> NDArray[np.bool_]:
+    """Whether obstacles are within reach of the slabs' nodes; arguments and shape as `_may_reach_target`."""
+    assert problem.clearance is not None
+    spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
+    places = [layout.order.index(k) for k in _plane(problem)]
+    cells = np.abs(reach[:, places].astype(np.float64)).max(axis=-1)
+    far = np.linalg.norm((cells + _BEYOND) * spacings, axis=-1)
+    clearance = _on_slabs(layout, problem.spread(problem.clearance.values), slabs)
+    return clearance <= far.reshape(-1, *(1,) * len(layout.inner))
+
+
+def _on_slabs(layout: Layout, values: NDArray[Any], slabs: NDArray[np.int64]) -> NDArray[Any]:
+    """Return values that broadcast to the grid, at slabs (k,): they broadcast to shape (k, inner counts)."""
+    outer = len(layout.outer)
+    if not outer:
+        return values.transpose(layout.order)[None]
+    values = values.transpose(layout.order)
+    index = np.unravel_index(slabs, tuple(layout.counts[:outer]))
+    return values[tuple(at if values.shape[k] > 1 else np.zeros_like(at) for k, at in enumerate(index))]
 
 
 def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bool_]:
@@ -216,16 +265,8 @@ def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bo
     return np.broadcast_to(beyond, problem.counts)
 
 
-def _near_target(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether nodes lie within so many cells (n,) of the target along every axis; broadcasts to the grid."""
-    near = np.ones((1,) * len(problem.axes), dtype=bool)
-    for condition in _near_conditions(problem, cells):
-        near = near & condition
-    return near
-
-
 def _near_conditions(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
-    """Yield what `_near_target` consists of: one condition an axis, and the disc's; each broadcasts to the grid."""
+    """Yield where nodes lie within so many cells (n,) of the target: one condition an axis, and the disc's."""
     for k, axis in enumerate(problem.axes):
         if axis.name in problem.target.intervals:
             low, high = problem.target.intervals[axis.name]

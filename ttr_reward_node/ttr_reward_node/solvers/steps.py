@@ -22,7 +22,7 @@ from ctrl_rl_core import Axis, System
 from ttr_reward_node.kernels.stencil import PER_CELL
 from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.held_motion import HeldPairs, Room, move_cells
+from ttr_reward_node.solvers.held_motion import HeldPairs, Motion, Room, move_cells
 
 _BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the cache
 _SOME = 4096  # nodes whose rates tell which controls are worth trying
@@ -33,6 +33,7 @@ _GRAZE = 0.25  # cells: a path that comes this far beyond a node has not left it
 _MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
 PARTS = 8
 """Straight pieces that stand for the path of a step."""
+_FAR = 10_000.0  # cells: as far as 16 bits hold, and beyond any grid
 _EDGE = 1e-3  # cells: a step that was cut short at a limit ends there only to rounding
 
 
@@ -86,6 +87,7 @@ class Steps:
         durations: Durations by their number [s]; 0 at number 0.
         ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
         ranges: Lowest and highest cell along each inner axis that a step comes to (slabs, pairs, inner, 2).
+        reach: Lowest and highest cell along each axis that any step comes to (slabs, n, 2).
         controls: Number of controls, each with each length of step; the number of pairs is a multiple of it.
         crossing: Time to cross a cell along the slowest axis at its top speed [s].
     """
@@ -96,6 +98,7 @@ class Steps:
     durations: NDArray[np.float64]
     ends: NDArray[np.int16]
     ranges: NDArray[np.int8]
+    reach: NDArray[np.int16]
     controls: int
     crossing: float
 
@@ -208,20 +211,22 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
     durations = np.empty(shape, np.float32)
     ends = np.empty((*shape, len(layout.order)), np.int16)
     ranges = np.empty((*shape, len(layout.inner), 2), np.int8)
+    reach = np.zeros((layout.slabs, len(layout.order), 2), np.int16)
     for block in _blocks(layout.slabs, len(held.u)):
         x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
         room = _room(problem, layout, x)
         for i, length in enumerate(cells):
             motion = move_cells(problem.system, x, held, spacings, room, length, patience)
-            path = motion.path(PARTS)
-            h = np.where(_leaves(problem, layout, x, path), 0.0, motion.durations)
-            path = path[..., layout.order]
+            low, high = motion.hull()
+            h = np.where(_leaves(problem, layout, x, motion, (low, high)), 0.0, motion.durations)
             per = (len(x), disturbances, shape[-1])
             durations[block, :, i] = h.reshape(per)
-            ends[block, :, i] = np.rint(path[..., -1, :] * PER_CELL).reshape(*per, -1)
-            along = path[..., len(layout.outer) :]
-            ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
-            ranges[block, :, i, ..., 1] = np.ceil(np.maximum(along.max(axis=-2), 0.0) - _GRAZE).reshape(*per, -1)
+            ends[block, :, i] = np.rint(motion.moves[..., layout.order] * PER_CELL).reshape(*per, -1)
+            _widen(reach[block], low[..., layout.order], high[..., layout.order])
+            if layout.inner:
+                along = motion.along(layout.inner).path(PARTS)
+                ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
+                ranges[block, :, i, ..., 1] = np.ceil(np.maximum(along.max(axis=-2), 0.0) - _GRAZE).reshape(*per, -1)
     n_pairs = math.prod(shape[1:])
     codes, book = _numbered(durations.reshape(layout.slabs, n_pairs))
     u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)
@@ -232,6 +237,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
         durations=book,
         ends=ends.reshape(layout.slabs, n_pairs, -1),
         ranges=ranges.reshape(layout.slabs, n_pairs, len(layout.inner), 2),
+        reach=reach,
         controls=len(cells) * shape[-1],
         crossing=crossing,
     )
@@ -302,18 +308,34 @@ def _room(problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64]) -
 
 
 def _leaves(
-    problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64], moves: NDArray[np.float64]
+    problem: TimeToReachProblem,
+    layout: Layout,
+    x: NDArray[np.float64],
+    motion: Motion,
+    hull: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> NDArray[np.bool_]:
-    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; moves (k, p, parts, n) in cells.
+    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; `hull` is the motion's.
 
     A step from beyond a limit, which may begin at the last node before it, only has to end within.
     """
-    outside = np.zeros(moves.shape[:2], dtype=bool)
+    doubtful = np.zeros(motion.durations.shape, dtype=bool)
     for k in layout.outer:
-        low, high = problem.limits[:, k]
-        spacing = problem.axes[k].spacing
-        way = x[..., None, k] + spacing * moves[..., k]
+        (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
+        doubtful |= hull[0][..., k] < (low - x[..., k]) / spacing - 0.5 * _EDGE
+        doubtful |= hull[1][..., k] > (high - x[..., k]) / spacing + 0.5 * _EDGE
+    outside = np.zeros(motion.durations.shape, dtype=bool)
+    row, column = np.nonzero(doubtful)
+    path, start = motion.of(row, column).path(PARTS), x[row, 0]
+    for k in layout.outer:
+        (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
+        way = start[:, None, k] + spacing * path[..., k]
         beyond = (way < low - _EDGE * spacing) | (way > high + _EDGE * spacing)
-        within = (x[..., k] >= low - _EDGE * spacing) & (x[..., k] <= high + _EDGE * spacing)
-        outside |= np.where(within, beyond.any(axis=-1), beyond[..., -1])
+        within = (start[:, k] >= low - _EDGE * spacing) & (start[:, k] <= high + _EDGE * spacing)
+        outside[row, column] |= np.where(within, beyond.any(axis=-1), beyond[..., -1])
     return outside
+
+
+def _widen(reach: NDArray[np.int16], low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    """Widen the reach (k, n, 2) of states to boxes (k, p, n) [cells] around their steps."""
+    reach[..., 0] = np.minimum(reach[..., 0], np.floor(np.maximum(low.min(axis=1), -_FAR)))
+    reach[..., 1] = np.maximum(reach[..., 1], np.ceil(np.minimum(high.max(axis=1), _FAR)))

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.boundary_conditions import LOST
+from ttr_reward_node.kernels.boundary_conditions import FIXED, LOST
 from ttr_reward_node.kernels.entry_points import kernels
+from ttr_reward_node.kernels.slab_sweep import SlabHistory
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.kernels.sweep import Nodes, RowHistory, SweepSettings
 from ttr_reward_node.solvers.near_nodes import NearNodes
@@ -18,6 +19,7 @@ from ttr_reward_node.solvers.threads import share
 
 _LARGE = 50_000, 1_000_000  # nodes from which on a sweep is worth two threads: each by itself, or in rows alike
 _THICK = 8  # nodes along the first axis in each of two parts: what is at their border is one sweep old
+_SHORT = 48  # nodes: longer rows are worth stencils of their own
 _FULL_EVERY = 3  # of the sweeps over single nodes, one in so many tries all steps
 
 
@@ -39,7 +41,16 @@ def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) 
     """Return the sweeper for a layout: where no axis is an inner one, no two nodes share their steps."""
     thick = len(layout.order) > 1 and bool(layout.outer) and int(layout.counts[0]) >= 2 * _THICK
     parts = 2 if near.flags.size >= _LARGE[1 if layout.inner else 0] and thick else 1
-    return (_RowSweeper if layout.inner else _NodeSweeper)(grid, table, near, parts)
+    if not layout.inner:
+        return _NodeSweeper(grid, table, near, parts)
+    return (_SlabSweeper if _has_short_rows(layout) else _RowSweeper)(grid, table, near, parts)
+
+
+def _has_short_rows(layout: Layout) -> bool:
+    """Whether rows are so short that slabs are swept as a whole; each is a plane or more, from which no step wraps."""
+    first = len(layout.outer)
+    flat_ = len(layout.inner) > 1 and not layout.periodic[first:].any()
+    return flat_ and len(layout.outer) > 1 and int(layout.counts[-1]) <= _SHORT
 
 
 class _RowSweeper:
@@ -73,6 +84,45 @@ class _RowSweeper:
         self._history.seen[:] = 0
         if lost is not None:
             self._nodes.flags[lost] |= LOST
+
+
+class _SlabSweeper:
+    def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
+        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
+        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        self._slabs = slabs = len(table.codes)
+        self._history = SlabHistory(
+            np.zeros(slabs, np.int64),
+            np.zeros(slabs, np.int64),
+            np.zeros(parts, np.int64),
+            np.zeros(parts * slabs, np.int32),
+            np.zeros(parts * slabs, np.int32),
+            np.zeros(slabs, np.int32),
+        )
+        self.values = self._nodes.values[: self._size]
+        self.restart()
+
+    def sweep(self, settings: SweepSettings, in_phase: int) -> float:
+        del in_phase
+        if self._parts > 1:  # each part reads the other as it is now, however fast that one's thread is
+            self._nodes.values[self._size :] = self.values
+            for copied in (self._history.changed_in, self._history.reachable):
+                copied[self._slabs :] = copied[: self._slabs]
+        changes = share(
+            lambda part, parts: kernels().sweep_slabs(
+                self._nodes, self._grid, self._table, self._history, settings, part, parts
+            )[0],
+            self._parts,
+        )
+        return float(max(changes))
+
+    def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
+        self._history.seen[:] = 0
+        if lost is not None:
+            self._nodes.flags[lost] |= LOST
+        self._history.reachable[: self._slabs] = np.count_nonzero(self.values.reshape(self._slabs, -1), axis=1)
+        closed = self._nodes.flags.reshape(self._slabs, -1) & (FIXED | LOST)
+        self._history.open[:] = closed.shape[1] - np.count_nonzero(closed, axis=1)
 
 
 class _NodeSweeper:
