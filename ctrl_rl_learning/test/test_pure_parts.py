@@ -11,10 +11,10 @@ from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator
 from ctrl_rl_learning.on_robot.environment.step_clock import StepClock
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner, TuneSettings
 from ctrl_rl_learning.on_robot.learning.policy import read_policy
-from ctrl_rl_learning.on_robot.learning.replay import Replay
 from ctrl_rl_learning.on_robot.learning.session import Session
 from ctrl_rl_learning.on_robot.nodes.tally import Tally
 from ctrl_rl_learning.torch.array_file import save_arrays
+from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -92,15 +92,13 @@ def test_the_command_of_a_step_is_the_mean_by_time() -> None:
 
 
 def test_a_replay_keeps_the_newest_steps_through_a_checkpoint() -> None:
-    replay = Replay(4, 3)
+    replay, again = ReplayBuffer(4), ReplayBuffer(4)
     for number in range(6):
-        replay.add(np.full(3, number), (0.0, 0.0), number, np.full(3, number + 1), 0.9, 0.0)
-    again = Replay(4, 3)
-    again.restore(replay.arrays())
-    assert again.arrays()["replay.rewards"].tolist() == [2.0, 3.0, 4.0, 5.0]
-    batch = again.batch(50, np.random.default_rng(0))
-    assert (batch.seen[:, 0] == batch.rewards).all()
-    assert (batch.following[:, 0] == batch.rewards + 1.0).all()
+        replay.add({"rewards": np.array([number]), "following": np.full((1, 3), number + 1)})
+    again.add(replay.in_order())
+    assert again.in_order()["rewards"].tolist() == [2, 3, 4, 5]
+    batch = again.draw(50, np.random.default_rng(0))
+    assert (batch["following"][:, 0] == batch["rewards"] + 1).all()
 
 
 def test_a_tuner_goes_on_where_it_was_and_refuses_what_is_damaged(tmp_path: Path) -> None:

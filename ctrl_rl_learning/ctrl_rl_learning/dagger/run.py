@@ -67,14 +67,14 @@ class Lessons:
     def save(self, path: Path, progress: Mapping[str, Any]) -> None:
         """Write a checkpoint."""
         arrays: dict[str, NDArray[Any]] = {"seen": self._seen, "wanted": self._wanted}
-        arrays |= state_arrays({"body": self._pupil.body}, {"optimizer": self._pupil.optimizer})
+        arrays |= state_arrays({"student": self._pupil.network}, {"optimizer": self._pupil.optimizer})
         save_arrays(path, arrays, {"episodes": self._episodes, "progress": dict(progress)})
 
     def load(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint and return its progress."""
         arrays, header = load_arrays(path)
         self._seen, self._wanted, self._episodes = arrays.pop("seen"), arrays.pop("wanted"), int(header["episodes"])
-        restore_state({"body": self._pupil.body}, {"optimizer": self._pupil.optimizer}, arrays)
+        restore_state({"student": self._pupil.network}, {"optimizer": self._pupil.optimizer}, arrays)
         progress: dict[str, Any] = header["progress"]
         return progress
 

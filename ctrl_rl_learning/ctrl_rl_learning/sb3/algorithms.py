@@ -22,6 +22,7 @@ from ctrl_rl_core import Actor, NavigationTask
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_learning.sb3.environment import observation_scales
+from ctrl_rl_learning.torch.networks import linear_arrays
 
 REWARD_SCALE = 0.01
 """Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
@@ -164,12 +165,12 @@ def extract_actor(model: BaseAlgorithm, task: NavigationTask, manifest: Mapping[
         layers = [*policy.actor.latent_pi, policy.actor.mu]
     else:
         layers = list(policy.actor.mu)
-    linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+    weights, biases = linear_arrays(layers)
     middle, unit = observation_scales(task)
     commands = np.array(list(task.robot.commands.values()), dtype=np.float32)
     return Actor(
-        weights=tuple(layer.weight.detach().numpy().copy() for layer in linear),
-        biases=tuple(layer.bias.detach().numpy().copy() for layer in linear),
+        weights=weights,
+        biases=biases,
         activation="normalized_tanh" if on_policy else "normalized_relu",
         squashed=not on_policy,
         middle=middle,

@@ -42,6 +42,11 @@ class ReplayBuffer:
         places = generator.integers(len(self), size=count)
         return {name: column[places] for name, column in self.columns.items()}
 
+    def in_order(self) -> Arrays:
+        """Return all rows by column, oldest first."""
+        order = np.arange(self.seen - len(self), self.seen) % self.capacity
+        return {name: column[order] for name, column in self.columns.items()}
+
     def arrays(self) -> Arrays:
         """Return everything, for a checkpoint."""
         return {"seen": np.array([self.seen])} | {name: column[: len(self)] for name, column in self.columns.items()}

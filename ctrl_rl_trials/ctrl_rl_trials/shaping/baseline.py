@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
 from ctrl_rl_learning.sb3.environment import observation_scales
+from ctrl_rl_learning.torch.optimization import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -56,6 +57,4 @@ def fit_critic(model: BaseAlgorithm, baseline: TimeToReachBaseline, seed: int) -
     for _ in range(_STEPS):
         chosen = torch.from_numpy(random.integers(len(inputs), size=_BATCH))
         loss = torch.nn.functional.mse_loss(policy.predict_values(inputs[chosen]), wanted[chosen])  # type: ignore[operator]
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
+        gradient_step(optimizer, loss)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments
+from ctrl_rl_learning.torch.optimization import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -55,6 +56,4 @@ def teach(model: BaseAlgorithm, seen: NDArray[np.float32], done: NDArray[np.floa
         chosen = torch.from_numpy(random.integers(len(inputs), size=_BATCH))
         mean = policy.get_distribution(inputs[chosen]).distribution.mean  # type: ignore[operator]
         loss = torch.nn.functional.mse_loss(mean, wanted[chosen])
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
+        gradient_step(optimizer, loss)

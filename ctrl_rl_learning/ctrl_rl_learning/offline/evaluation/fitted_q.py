@@ -14,7 +14,9 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from ctrl_rl_learning.offline.data.transitions import Transitions
-from ctrl_rl_learning.offline.learners.networks import Critics, batches, scales_of, track
+from ctrl_rl_learning.offline.learners.batches import batches, scales_of
+from ctrl_rl_learning.torch.networks import Critics
+from ctrl_rl_learning.torch.optimization import gradient_step, polyak_update
 
 Array = NDArray[np.float64]
 _BATCH, _HIDDEN, _RATE, _TAU = 128, 64, 1e-3, 0.1
@@ -82,10 +84,8 @@ def fit_values(
                 target = paid + discount * (1.0 - ended) * worth
             first, second = critics(s, a)
             loss = mse_loss(first, target) + mse_loss(second, target)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            track(slow, critics, _TAU)
+            gradient_step(optimizer, loss)
+            polyak_update(slow, critics, _TAU)
             tell(1)
     with torch.no_grad():
         before = _mean(slow, tensors[0], torch.from_numpy(own[0]))

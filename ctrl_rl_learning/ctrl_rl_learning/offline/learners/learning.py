@@ -18,10 +18,11 @@ from ctrl_rl_learning.offline.data.interface import sensed_interface
 from ctrl_rl_learning.offline.data.motion import fit_motion
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.data.values import StateValues
+from ctrl_rl_learning.offline.learners.batches import batches, scales_of
 from ctrl_rl_learning.offline.learners.improvement import improved_actions
 from ctrl_rl_learning.offline.learners.learners import LEARNERS, Batch
-from ctrl_rl_learning.offline.learners.networks import batches, scales_of, to_actor
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
+from ctrl_rl_learning.torch.networks import new_actor
 
 
 def learn(
@@ -49,14 +50,15 @@ def learn(
         raise LearningError(f"no method '{settings.method}': there are {', '.join(METHODS)}")
     if settings.method in NEEDS_VALUE and values is None:
         raise LearningError(f"{settings.method} needs a value function: give --value")
+    interface = sensed_interface(task)
     middle, unit = scales_of(transitions.observations)
     batch_of = _tensors(transitions, task, settings, values, middle, unit)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        learner = LEARNERS[settings.method](len(middle), settings)
+        learner = LEARNERS[settings.method](new_actor(interface, settings.hidden, middle, unit), settings)
         random = np.random.default_rng(settings.seed)
         for count, batch in enumerate(batches(batch_of, settings.batch, settings.updates, random)):
-            learner.slow_down(count / settings.updates)
+            learner.anneal(count / settings.updates)
             learner.update(Batch(*batch))
             tell(1)
     manifest = {
@@ -68,7 +70,7 @@ def learn(
         **({} if values is None else {"value": values.name}),
         **(about or {}),
     }
-    return to_actor(learner.actor, middle, unit, sensed_interface(task), manifest)
+    return learner.actor.to_actor(manifest)
 
 
 def _tensors(
@@ -100,7 +102,7 @@ def _tensors(
     actions: NDArray[Any] = transitions.actions
     if values is not None and method == "value_model":
         motion = fit_motion(transitions)
-        actions, known = improved_actions(transitions.states, motion, values, settings.heat)
+        actions, known = improved_actions(transitions.states, motion, values, settings.weight_temperature)
         if task.corridor is not None:
             # Without its pose a robot cannot tell that it faces back: from there it is taught nothing.
             known &= motion.moved(actions)[:, 0] > 0.0

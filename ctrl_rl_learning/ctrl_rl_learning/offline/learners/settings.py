@@ -35,7 +35,7 @@ class LearningSettings:
         expectile: Expectile of IQL's value; 0.5 is the mean.
         temperature: Advantage that multiplies a weight by e, in standard deviations (value_weight), in gains of the
             best action over the middle one (value_model) or in scaled rewards (iql); None for that of `TEMPERATURES`.
-        greed: Weight of the critic beside cloning, alpha of TD3+BC.
+        bc_alpha: Weight of the critic beside cloning, the alpha of TD3+BC.
         conservatism: Weight of CQL's penalty.
     """
 
@@ -48,10 +48,10 @@ class LearningSettings:
     seed: int = 0
     expectile: float = 0.8
     temperature: float | None = None
-    greed: float = 2.5
+    bc_alpha: float = 2.5
     conservatism: float = 1.0
 
     @property
-    def heat(self) -> float:
+    def weight_temperature(self) -> float:
         """Temperature of the weights."""
         return TEMPERATURES.get(self.method, 1.0) if self.temperature is None else self.temperature

@@ -6,7 +6,6 @@ weight that fades, and to what the operator did wherever he took over.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,17 +13,16 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn.functional import mse_loss
 
 from ctrl_rl_core import Actor
-from ctrl_rl_learning.offline.learners.networks import Critics, track
-from ctrl_rl_learning.on_robot.learning.actor_network import ActorNetwork
-from ctrl_rl_learning.on_robot.learning.replay import Replay
 from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
+from ctrl_rl_learning.torch.networks import ActorNetwork, Critics
+from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
+from ctrl_rl_learning.torch.td3 import Td3
 
 Vector = NDArray[np.float32]
-_TAU = 0.005
-_NOISE, _NOISE_LIMIT, _DELAY = 0.2, 0.5, 2  # TD3's
+_REPLAY = "replay."
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,12 @@ class TuneSettings:
 
 
 class FineTuner:
-    """A policy that learns from a replay of steps."""
+    """A policy that learns from a replay of steps.
+
+    Attributes:
+        settings: Settings of learning.
+        replay: Every step that the robot made, as it was driven, the operator's included.
+    """
 
     def __init__(self, actor: Actor, settings: TuneSettings, capacity: int, seed: int) -> None:
         """Begin with a policy.
@@ -73,15 +76,13 @@ class FineTuner:
             seed: Seed of networks and batches.
         """
         torch.manual_seed(seed)
-        self.settings = settings
-        self.replay = Replay(capacity, len(actor.middle))
+        self.settings, self.replay = settings, ReplayBuffer(capacity)
         self._middle, self._unit = actor.middle, actor.unit
         self._actor, self._first = ActorNetwork(actor), ActorNetwork(actor)
         self._critics = Critics(len(actor.middle), settings.hidden)
-        self._slow_actor, self._slow_critics = copy.deepcopy(self._actor), copy.deepcopy(self._critics)
         self._actor_steps = torch.optim.Adam(self._actor.parameters(), lr=settings.actor_rate, fused=True)
         self._critic_steps = torch.optim.Adam(self._critics.parameters(), lr=settings.critic_rate, fused=True)
-        self._count = 0
+        self._td3 = Td3(self._actor, self._critics, self._critic_steps)
 
     def act(self, observation: Vector) -> Vector:
         """Return the action (2,) for an observation (n,) in SI units."""
@@ -90,32 +91,56 @@ class FineTuner:
         return np.asarray(action.numpy().clip(-1.0, 1.0), dtype=np.float32)
 
     def add(
-        self, seen: Vector, action: Vector, reward: float, following: Vector, discount: float, by_operator: bool
+        self,
+        observation: Vector,
+        action: Vector,
+        reward: float,
+        next_observation: Vector,
+        discount: float,
+        by_operator: bool,
     ) -> None:
-        """Remember a step; observations are in SI units."""
-        self.replay.add(self._scaled(seen), action, reward, self._scaled(following), discount, float(by_operator))
+        """Remember a step; observations are in SI units.
 
-    def learn(self, steps: int, random: np.random.Generator) -> None:
-        """Learn after so many new steps."""
+        Args:
+            observation: Observation before (n,).
+            action: Action as it was driven (2,).
+            reward: Reward of the step.
+            next_observation: Observation after (n,).
+            discount: Discount of what followed: less after a longer step, 0 where the episode ended.
+            by_operator: Whether the operator drove a part of the step.
+        """
+        row = {
+            "seen": self._scaled(observation),
+            "actions": action,
+            "rewards": reward,
+            "following": self._scaled(next_observation),
+            "discounts": discount,
+            "operator": by_operator,
+        }
+        self.replay.add({name: np.asarray(value, np.float32)[None] for name, value in row.items()})
+
+    def learn(self, steps: int, random: np.random.Generator) -> dict[str, float]:
+        """Learn after so many new steps, and return the mean losses of the updates; nothing where there were none."""
         settings = self.settings
         if len(self.replay) < settings.first_steps:
-            return
-        if self._count == 0:
-            for _ in range(settings.first_updates):
-                self._update(random, improve=False)
-        for _ in range(steps * settings.updates):
-            self._update(random, improve=True)
+            return {}
+        losses: dict[str, list[float]] = {}
+        alone = settings.first_updates if self._td3.updates == 0 else 0
+        for number in range(alone + steps * settings.updates):
+            for name, loss in self._update(random, improve=number >= alone).items():
+                losses.setdefault(name, []).append(loss)
+        return {name: float(np.mean(each)) for name, each in losses.items()}
 
     def to_actor(self, manifest: Mapping[str, Any]) -> Actor:
         """Return the policy, averaged over its last updates, with more in its manifest."""
-        return self._slow_actor.to_actor(manifest)
+        return self._td3.target_actor.to_actor(manifest)
 
     def arrays(self) -> dict[str, Any]:
         """Return all that learning goes on from."""
         return {
             **state_arrays(self._networks(), self._optimizers()),
-            **self.replay.arrays(),
-            "count": np.array([self._count]),
+            **{f"{_REPLAY}{name}": column for name, column in self.replay.in_order().items()},
+            "count": np.array([self._td3.updates]),
         }
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
@@ -125,33 +150,34 @@ class FineTuner:
             KeyError, RuntimeError, ValueError: It is of another policy.
         """
         restore_state(self._networks(), self._optimizers(), arrays)
-        self.replay.restore(arrays)
-        self._count = int(arrays["count"][0])
+        rows = {name.removeprefix(_REPLAY): rows for name, rows in arrays.items() if name.startswith(_REPLAY)}
+        if rows and len(rows["seen"]):
+            self.replay.add({name: column[-self.replay.capacity :] for name, column in rows.items()})
+        self._td3.updates = int(arrays["count"][0])
 
-    def _update(self, random: np.random.Generator, improve: bool) -> None:
-        self._count += 1
-        batch = self.replay.batch(self.settings.batch, random)
-        with torch.no_grad():
-            noise = (_NOISE * torch.randn_like(batch.actions)).clamp(-_NOISE_LIMIT, _NOISE_LIMIT)
-            actions = (self._slow_actor(batch.following) + noise).clamp(-1.0, 1.0)
-            target = batch.rewards + batch.discounts * self._slow_critics.least(batch.following, actions)
-        first, second = self._critics(batch.seen, batch.actions)
-        _step(self._critic_steps, mse_loss(first, target) + mse_loss(second, target))
-        if self._count % _DELAY == 0:
+    def _update(self, random: np.random.Generator, improve: bool) -> dict[str, float]:
+        rows = self.replay.draw(self.settings.batch, random)
+        batch = {name: torch.from_numpy(column) for name, column in rows.items()}
+        targets = self._td3.targets(batch["rewards"], batch["discounts"], batch["following"], batch["actions"])
+        first, second = self._critics(batch["seen"], batch["actions"])
+        losses = {"critic_loss": float(self._td3.learn(first, second, targets))}
+        if self._td3.actors_turn:
             if improve:
-                self._improve(batch)
-            track(self._slow_critics, self._critics, _TAU)
+                losses["actor_loss"] = self._improve(batch)
+            self._td3.follow(actor=improve)
+        return losses
 
-    def _improve(self, batch: Any) -> None:
-        actions = self._actor(batch.seen)
-        worth, _ = self._critics(batch.seen, actions)
+    def _improve(self, batch: Mapping[str, torch.Tensor]) -> float:
+        actions, operator = self._actor(batch["seen"]), batch["operator"]
+        q_values, _ = self._critics(batch["seen"], actions)
         with torch.no_grad():
-            wanted = torch.where(batch.operator[:, None] > 0.0, batch.actions, self._first(batch.seen))
-            weight = torch.where(batch.operator > 0.0, self.settings.hold, self._hold())
-        gain = worth.mean() / worth.detach().abs().mean().clamp(min=1e-6)
+            wanted = torch.where(operator[:, None] > 0.0, batch["actions"], self._first(batch["seen"]))
+            weight = torch.where(operator > 0.0, self.settings.hold, self._hold())
+        gain = q_values.mean() / q_values.detach().abs().mean().clamp(min=1e-6)
         away = ((actions - wanted) ** 2).mean(dim=-1)
-        _step(self._actor_steps, (weight * away).mean() - gain)
-        track(self._slow_actor, self._actor, _TAU)
+        loss = (weight * away).mean() - gain
+        gradient_step(self._actor_steps, loss)
+        return float(loss.detach())
 
     def _hold(self) -> float:
         settings = self.settings
@@ -165,15 +191,9 @@ class FineTuner:
         return {
             "actor": self._actor,
             "critics": self._critics,
-            "slow_actor": self._slow_actor,
-            "slow_critics": self._slow_critics,
+            "slow_actor": self._td3.target_actor,
+            "slow_critics": self._td3.target_critics,
         }
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return {"actor_steps": self._actor_steps, "critic_steps": self._critic_steps}
-
-
-def _step(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-    optimizer.zero_grad()
-    loss.backward()  # type: ignore[no-untyped-call]
-    optimizer.step()

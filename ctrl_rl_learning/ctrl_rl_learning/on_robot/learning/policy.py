@@ -7,7 +7,7 @@ import numpy as np
 from ctrl_rl_core import Actor, PolicyManifest, find_policy
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.interface import with_motion
-from ctrl_rl_learning.on_robot.learning.actor_network import widen
+from ctrl_rl_learning.torch.networks import widen
 
 
 def read_policy(name: str, motion: bool) -> tuple[Actor, PolicyManifest]:

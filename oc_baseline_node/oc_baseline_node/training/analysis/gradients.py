@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from ctrl_rl_learning.sb3.algorithms import ROLL_OUT
 from ctrl_rl_learning.sb3.training import Recorder
+from ctrl_rl_learning.torch.optimization import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
@@ -148,9 +149,7 @@ def fit_value(samples: Samples, seed: int) -> Callable[[Array], Array]:
     for _ in range(_EPOCHS):
         for part in torch.split(torch.randperm(len(x)), _BATCH):
             loss = nn.functional.mse_loss(network(x[part]).flatten(), y[part])
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
+            gradient_step(optimizer, loss)
 
     def value(observations: Array) -> Array:
         with torch.no_grad():

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 from ctrl_rl_learning.sb3.algorithms import NormalizedTanh
+from ctrl_rl_learning.torch.optimization import gradient_step
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.utils import polyak_update
@@ -90,10 +91,7 @@ class ControlVariatePpo(PPO):
                     - self.ent_coef * entropy.mean()
                     + self.vf_coef * nn.functional.mse_loss(values.flatten(), data.returns[part])
                 )
-                self.policy.optimizer.zero_grad()
-                loss.backward()
-                nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
-                self.policy.optimizer.step()
+                gradient_step(self.policy.optimizer, loss, self.policy.parameters(), largest_norm=self.max_grad_norm)
         self._n_updates += self.n_epochs
         self.fit_after()
 
@@ -179,9 +177,7 @@ class QPropPpo(ControlVariatePpo):
                 aim = data.rewards + self.gamma * (1.0 - data.dones) * ahead
             found = self.critic(torch.cat((data.observations, data.actions), dim=1))
             loss = nn.functional.mse_loss(found, aim)
-            self.critic_optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.critic_optimizer.step()
+            gradient_step(self.critic_optimizer, loss)
             polyak_update(self.critic.parameters(), self.target.parameters(), _TAU)
 
     def _remember(self) -> None:
@@ -233,6 +229,4 @@ class SteinPpo(ControlVariatePpo):
             for data in self.rollout_buffer.get(self.batch_size):
                 found = self.critic(torch.cat((data.observations, data.actions), dim=1)).flatten()
                 loss = nn.functional.mse_loss(found, data.advantages)
-                self.critic_optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                self.critic_optimizer.step()
+                gradient_step(self.critic_optimizer, loss)

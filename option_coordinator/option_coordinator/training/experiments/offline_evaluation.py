@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from ctrl_rl_learning.study.estimate import Estimate, estimate
+from ctrl_rl_learning.torch.optimization import gradient_step, polyak_update
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -151,12 +152,8 @@ def _fit(
             with torch.no_grad():
                 target = paid[rows] + onward[rows] * _mean(slow, after[rows], chosen[rows]).clamp(least, most)
             loss = torch.nn.functional.mse_loss(network(seen[rows], given[rows]), target)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            with torch.no_grad():
-                for old, new in zip(slow.parameters(), network.parameters(), strict=True):
-                    old.lerp_(new, _SHARE)
+            gradient_step(optimizer, loss)
+            polyak_update(slow, network, _SHARE)
             tell(1)
         with torch.no_grad():
             values = _mean(slow, seen[torch.from_numpy(starts)], torch.from_numpy(first)).clamp(least, most)

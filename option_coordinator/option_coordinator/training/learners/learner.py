@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from ctrl_rl_learning.torch.learner_state import Arrays
+from ctrl_rl_learning.torch.optimization import gradient_step
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -50,12 +51,8 @@ class Learner(ABC):
     def descend(self, loss: Tensor) -> None:
         """Take a step down a loss, with the gradient of each network clipped to `settings.gradient_norm`."""
         (optimizer,) = self.optimizers.values()
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        for network in self.networks.values():
-            if parameters := list(network.parameters()):
-                nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
-        optimizer.step()
+        clipped = [each for network in self.networks.values() if (each := list(network.parameters()))]
+        gradient_step(optimizer, loss, *clipped, largest_norm=self.settings.gradient_norm)
 
     def memory(self) -> Arrays:
         """Return the rest of its state as arrays, for checkpoints."""
@@ -164,8 +161,6 @@ class Imitation(GradientLearner):
         for rows in self.minibatches(len(trajectory), generator):
             score = self.network(decisions.at(rows))
             log_prob = score.log_prob.mean()
-            optimizer.zero_grad()
-            (-log_prob).backward()
-            optimizer.step()
+            gradient_step(optimizer, -log_prob)
             figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
         return figures

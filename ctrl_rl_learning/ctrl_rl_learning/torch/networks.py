@@ -1,0 +1,129 @@
+"""Networks of policies and critics; a policy's network is that of its file, before it learns and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import layer_norm, linear
+
+from ctrl_rl_core import Actor, PolicyManifest
+
+Vector = NDArray[np.float32]
+
+
+def make_mlp(inputs: int, hidden: int, outputs: int, *, normalized: bool = False) -> nn.Sequential:
+    """Return a network of two hidden layers with ReLU, after a layer norm where `normalized`."""
+    layers: list[nn.Module] = []
+    width = inputs
+    for _ in range(2):
+        layers.append(nn.Linear(width, hidden))
+        if normalized:
+            layers.append(nn.LayerNorm(hidden, elementwise_affine=False))
+        layers.append(nn.ReLU())
+        width = hidden
+    return nn.Sequential(*layers, nn.Linear(width, outputs))
+
+
+def linear_arrays(layers: Iterable[nn.Module]) -> tuple[tuple[Vector, ...], tuple[Vector, ...]]:
+    """Return the weights (out, in) and the biases (out,) of all linear layers, for an `Actor`."""
+    chosen = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    weights = tuple(layer.weight.detach().numpy().copy() for layer in chosen)
+    return weights, tuple(layer.bias.detach().numpy().copy() for layer in chosen)
+
+
+def new_actor(
+    interface: PolicyManifest, hidden: int, middle: Vector | None = None, unit: Vector | None = None
+) -> Actor:
+    """Return an untrained policy with two hidden layers; torch's generator draws its weights.
+
+    Args:
+        interface: Observation and commands.
+        hidden: Units of each hidden layer.
+        middle: Observation that becomes 0 (n,); 0 unless given.
+        unit: Distance above it that becomes 1 (n,); 1 unless given.
+    """
+    weights, biases = linear_arrays(make_mlp(interface.size, hidden, 2))
+    return Actor(
+        weights=weights,
+        biases=biases,
+        activation="relu",
+        squashed=True,
+        middle=np.zeros(interface.size, np.float32) if middle is None else middle,
+        unit=np.ones(interface.size, np.float32) if unit is None else unit,
+        low=np.array(interface.action.low, np.float32),
+        high=np.array(interface.action.high, np.float32),
+        manifest={},
+        interface=interface,
+    )
+
+
+class ActorNetwork(nn.Module):
+    """The network of an actor: observations (N, n) in the network's units to actions (N, 2) in [-1, 1]."""
+
+    def __init__(self, actor: Actor) -> None:
+        super().__init__()
+        self._actor = actor
+        self._kind = actor.activation.removeprefix("normalized_")
+        self.weights = nn.ParameterList(torch.tensor(each) for each in actor.weights)
+        self.biases = nn.ParameterList(torch.tensor(each) for each in actor.biases)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the actions; where an actor cuts them off, gradients pass as if it did not."""
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = linear(x, weight, bias)
+            if index < len(self.weights) - 1:
+                if self._kind != self._actor.activation:
+                    x = layer_norm(x, x.shape[-1:])
+                x = torch.tanh(x) if self._kind == "tanh" else torch.relu(x)
+        return torch.tanh(x) if self._actor.squashed else x + (x.clamp(-1.0, 1.0) - x).detach()
+
+    def to_actor(self, manifest: Mapping[str, Any]) -> Actor:
+        """Return the policy as it stands, with more in its manifest."""
+        return replace(
+            self._actor,
+            weights=tuple(each.detach().numpy().copy() for each in self.weights),
+            biases=tuple(each.detach().numpy().copy() for each in self.biases),
+            manifest={**self._actor.manifest, **manifest},
+        )
+
+
+def widen(actor: Actor, interface: PolicyManifest, units: Vector) -> Actor:
+    """Return an actor of an interface that observes more at its end; until it learns, it does what it did.
+
+    Args:
+        actor: Actor of the shorter observation.
+        interface: Interface of the longer one.
+        units: Distance above 0 that becomes 1, of each number that is added (added,).
+    """
+    added = np.zeros((len(actor.weights[0]), len(units)), np.float32)
+    return replace(
+        actor,
+        weights=(np.concatenate((actor.weights[0], added), axis=1), *actor.weights[1:]),
+        middle=np.concatenate((actor.middle, np.zeros(len(units), np.float32))),
+        unit=np.concatenate((actor.unit, units)),
+        interface=interface,
+    )
+
+
+class Critics(nn.Module):
+    """Two critics of observations (N, n) and actions (N, 2), side by side, with layer norms against overestimation."""
+
+    def __init__(self, inputs: int, hidden: int, actions: int = 2) -> None:
+        super().__init__()
+        self.first = make_mlp(inputs + actions, hidden, 1, normalized=True)
+        self.second = make_mlp(inputs + actions, hidden, 1, normalized=True)
+
+    def forward(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return both values (N,)."""
+        given = torch.cat((observations, actions), dim=-1)
+        return self.first(given).squeeze(-1), self.second(given).squeeze(-1)
+
+    def minimum(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Return the lesser of both values (N,)."""
+        return torch.minimum(*self(observations, actions))
