@@ -287,3 +287,22 @@ def test_hdf5_does_not_bring_in_other_files(bag: Path, tmp_path: Path, capsys) -
         file.create_dataset("episode_1/observations/scan", shape, np.float32, external=place)
     assert main(["import", str(tmp_path / "set"), "--output", str(tmp_path / "bags")]) == 1
     assert "lies in another file" in capsys.readouterr().err
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("kind", ["lerobot", "minari"])
+@pytest.mark.parametrize("blocks", [1, 8, 24, 32])
+def test_a_full_disk_is_one_line_and_leaves_nothing(kind: str, blocks: int, bag: Path, tmp_path: Path) -> None:
+    """HDF5 would end the process with a segmentation fault."""
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]) * 1024,) * 2)\n"
+        "from ctrl_rl_bags.cli import main; sys.exit(main(sys.argv[2:]))"
+    )
+    words = ["export", bag, "--format", kind, "--output", tmp_path / "data"]
+    answer = subprocess.run(
+        [sys.executable, "-c", code, str(blocks), *words], capture_output=True, text=True, check=False
+    )
+    lines = [line for line in answer.stderr.splitlines() if "cannot be written: File too large" in line]
+    assert (answer.returncode, len(lines)) == (1, 1), answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert list(tmp_path.iterdir()) == []

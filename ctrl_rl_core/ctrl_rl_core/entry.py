@@ -131,7 +131,7 @@ def _explain(program: str, error: Exception, failure: int) -> int:
         case ModuleNotFoundError():
             _say(f"{program}: {what_to_install(str(error.name))}")
         case OSError():
-            _say(f"{program}: {_named(error)}{error.strerror or error}")
+            _say(f"{program}: {_named(error)}{os.strerror(error.errno) if error.errno else one_line(error)}")
         case MemoryError():
             _say(f"{program}: not enough memory{f' ({error})' if str(error) else ''}")
         case _:

@@ -6,8 +6,19 @@ _LONGEST = 300
 class CtrlRlError(Exception):
     """An error that a user can fix: the message names the file, key or value, and says what to do.
 
-    Commands and nodes print the message alone, without a traceback, and exit with a non-zero code.
+    Commands and nodes print the message alone, without a traceback, and exit with a non-zero code. What cannot be
+    printed is escaped: a message may repeat a name that somebody has sent.
     """
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
+
+
+def printable(text: str) -> str:
+    """Return a text whose letters, line breaks apart, can be printed anywhere: others are escaped."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() or each == "\n" else ascii(each)[1:-1] for each in text)
 
 
 def one_line(error: BaseException) -> str:
@@ -15,5 +26,5 @@ def one_line(error: BaseException) -> str:
     text = " ".join(str(error).split())
     if not isinstance(error, CtrlRlError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    text = printable(text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]} ..."

@@ -35,3 +35,20 @@ def test_temporary_files_are_told_from_others(tmp_path, monkeypatch):
     atomic_write(tmp_path / "file.json", "text")
     assert [is_temporary(file) for file in seen] == [True]
     assert not any(is_temporary(tmp_path / name) for name in ("file.json", ".hidden", ".a.tmp", "a.12.tmp"))
+
+
+def test_what_a_killed_run_left_is_in_nobodys_way(tmp_path, monkeypatch):
+    """In a container each run has the same process id."""
+
+    def killed(_: int) -> None:
+        raise KeyboardInterrupt
+
+    file = tmp_path / "file"
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", killed)
+        patched.setattr("pathlib.Path.unlink", lambda *_, **__: None)
+        with pytest.raises(KeyboardInterrupt):
+            atomic_write(file, "old")
+    assert [is_temporary(left) for left in tmp_path.iterdir()] == [True]
+    atomic_write(file, "new")
+    assert file.read_text() == "new"

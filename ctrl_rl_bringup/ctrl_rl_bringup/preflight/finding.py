@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from ctrl_rl_core.command import FiniteNumber
+from ctrl_rl_core.errors import printable
 from ctrl_rl_core.robots.robot import DEFAULT_ROBOT, Robot, find_robot
 
 
@@ -33,6 +34,11 @@ class Finding:
     level: Level
     text: str
     advice: str = ""
+
+    def __post_init__(self) -> None:
+        """Escape what cannot be printed: frames and nodes are named by whoever sends them."""
+        object.__setattr__(self, "text", printable(self.text).replace("\n", " "))
+        object.__setattr__(self, "advice", printable(self.advice).replace("\n", " "))
 
 
 def ok(check: str, text: str) -> Finding:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
 from pathlib import Path
 
 
@@ -13,7 +14,7 @@ def atomic_write(path: Path, content: bytes | str) -> None:
     Raises:
         OSError: The file cannot be written; the error names it, and the old file is still there.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = temporary_beside(path)
     try:
         with temporary.open("xb") as file:
             file.write(content.encode() if isinstance(content, str) else content)
@@ -25,6 +26,14 @@ def atomic_write(path: Path, content: bytes | str) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def temporary_beside(path: Path) -> Path:
+    """Return a path beside another one where nobody else writes.
+
+    A process id would not do: in a container it is the same in each run, and a run that was killed leaves its file.
+    """
+    return path.with_name(f".{path.name}.{secrets.randbits(60)}.tmp")
 
 
 def is_temporary(path: Path) -> bool:

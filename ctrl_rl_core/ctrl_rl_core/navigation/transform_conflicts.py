@@ -72,10 +72,10 @@ class TransformConflicts:
                 continue
             parents = sorted(parent for parent, heard in known.parents.items() if now - heard <= LASTS_S)
             if len(parents) > 1:
-                return f"'{child}' has two parents: '{parents[0]}' and '{parents[1]}'"
+                return f"{child!r} has two parents: {parents[0]!r} and {parents[1]!r}"
             if len(known.returns) == _RETURNS and now - known.returns[0][0] <= LASTS_S:
                 words = f"jumps by {known.returns[-1][1]} to and fro: do two nodes publish it?"
-                return f"the transform from '{known.recent[-1][0]}' to '{child}' {words}"
+                return f"the transform from {known.recent[-1][0]!r} to {child!r} {words}"
         return ""
 
     def any_fault(self, now: float) -> str:

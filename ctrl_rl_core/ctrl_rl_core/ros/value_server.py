@@ -176,7 +176,7 @@ class ValueServer(SuiteNode):
         if not self._foreign and message.header.frame_id not in ("", frame):
             self._foreign = True
             self.get_logger().warning(
-                f"odometry is in frame '{message.header.frame_id}' and taken as given in '{frame}' (parameter 'frame')"
+                f"odometry is in frame {message.header.frame_id!r} and taken as given in '{frame}' (parameter 'frame')"
             )
         message.header.frame_id = frame
         self._valued(message, state, value)
