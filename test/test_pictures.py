@@ -149,13 +149,13 @@ def test_cost_of_the_solver(drawn, tmp_path):
 
 
 def test_a_drive_and_a_team(drawn, tmp_path):
-    from ctrl_rl_bringup.corridor.filter_record import FilterRecord
-    from ctrl_rl_bringup.corridor.mover_tracks import MoverTrack
+    from ctrl_rl_bringup.corridor.surroundings import FilterRecord
+    from ctrl_rl_bringup.corridor.surroundings import MoverTrack
     from ctrl_rl_bringup.corridor.plot import draw_drive
     from ctrl_rl_bringup.corridor.report import DriveReport
     from ctrl_rl_bringup.team.plot import draw_team
     from ctrl_rl_bringup.team.report import TeamRun
-    from ctrl_rl_bringup.team.stack import TeamConfig
+    from ctrl_rl_bringup.team.run import TeamConfig
     from option_coordinator.environments.option_env import Span
 
     from option_coordinator import load_team

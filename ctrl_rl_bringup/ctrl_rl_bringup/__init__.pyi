@@ -8,5 +8,5 @@ from .runner.stack import DriveConfig as DriveConfig
 from .team.plot import draw_team as draw_team
 from .team.report import TeamRun as TeamRun
 from .team.report import read_team as read_team
+from .team.run import TeamConfig as TeamConfig
 from .team.run import run_team as run_team
-from .team.stack import TeamConfig as TeamConfig

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from ctrl_rl_bringup.runner.launching import Launch, description
 from ctrl_rl_bringup.runner.stack import recorder
-from ctrl_rl_bringup.team.run import new_team_run
-from ctrl_rl_bringup.team.stack import agents, coordinator, team_simulator, watchdogs
+from ctrl_rl_bringup.team.run import agents, coordinator, new_team_run, team_simulator, watchdogs
 from launch import LaunchDescription
 
 from ctrl_rl_bringup import TeamConfig

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from ctrl_rl_bringup.corridor.filter_record import FILTER, GUARD, read_filter
+from ctrl_rl_bringup.corridor.surroundings import FILTER, GUARD, read_filter
 from ctrl_rl_bringup.runner.stack import guards, policy_nodes
 from ctrl_rl_core.ros.node import to_stamp
 from rclpy.serialization import serialize_message

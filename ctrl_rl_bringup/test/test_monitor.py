@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ctrl_rl_bringup.corridor.report import read_drive
 from ctrl_rl_bringup.runner.monitor import Monitor, MonitorError
-from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_bringup.runner.processes import ros
 
 _FROZEN_SPINS = 40
 pytestmark = pytest.mark.usefixtures("_no_shared_memory")  # some are killed or frozen

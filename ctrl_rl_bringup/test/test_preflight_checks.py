@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_bringup.preflight import frame_checks, robot_checks, scan_checks, time_checks, topic_checks
+from ctrl_rl_bringup.preflight import frame_checks, robot_checks, scan_checks, topic_checks
 from ctrl_rl_bringup.preflight.finding import Finding, Level, Limits
 from ctrl_rl_bringup.preflight.frames import FrameTree, Link, planar_pose, pose_matrix
-from ctrl_rl_bringup.preflight.inspection import inspect_standing, may_go
+from ctrl_rl_bringup.preflight.inspection import as_text, inspect_standing, may_go, verdict
 from ctrl_rl_bringup.preflight.recording import (
     Battery,
     Endpoint,
@@ -20,7 +20,6 @@ from ctrl_rl_bringup.preflight.recording import (
     Times,
     Topic,
 )
-from ctrl_rl_bringup.preflight.report import as_text, verdict
 from ctrl_rl_core.navigation.occupancy_map import OCCUPIED, OccupancyMap
 from ctrl_rl_core.ros.node import COMMAND, LATCHED, SENSOR
 from ctrl_rl_core.sensing.scan import ScanGeometry
@@ -166,11 +165,11 @@ NO_GO = [
     ),
     (topic_checks.check_qos, with_topic("map", (Endpoint("/maps", "m", COMMAND),)), "/maps publishes on /map"),
     (topic_checks.check_commanders, with_topic("cmd_vel", (Endpoint("/teleop", STAMPED, COMMAND),)), "/teleop"),
-    (time_checks.check_rates, healthy(scans=deque(list(healthy().scans)[::5])), "at least 4 Hz"),
-    (time_checks.check_rates, healthy(odometry=deque(list(healthy().odometry)[:30])), "longest gap"),
-    (time_checks.check_stamps, with_times(age=5.0), "5.00 s behind this computer's clock"),
-    (time_checks.check_stamps, with_times(age=-60.0), "60.00 s ahead"),
-    (time_checks.check_stamps, with_times(stamp=7.0), "stamps are not later"),
+    (topic_checks.check_rates, healthy(scans=deque(list(healthy().scans)[::5])), "at least 4 Hz"),
+    (topic_checks.check_rates, healthy(odometry=deque(list(healthy().odometry)[:30])), "longest gap"),
+    (topic_checks.check_stamps, with_times(age=5.0), "5.00 s behind this computer's clock"),
+    (topic_checks.check_stamps, with_times(age=-60.0), "60.00 s ahead"),
+    (topic_checks.check_stamps, with_times(stamp=7.0), "stamps are not later"),
     (frame_checks.check_names, healthy(scans=changed(healthy().scans, frame="")), "scan has no frame"),
     (frame_checks.check_tree, healthy(frames=tree(link("odom", "base_footprint"))), "base_footprint to base_scan"),
     (frame_checks.check_tree, healthy(frames=tree(link("base_footprint", "base_scan"))), "odom to base_footprint"),

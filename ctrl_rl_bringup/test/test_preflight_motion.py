@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from ctrl_rl_bringup.preflight.finding import Finding, Level, Limits
-from ctrl_rl_bringup.preflight.inspection import inspect_moving, may_go
+from ctrl_rl_bringup.preflight.inspection import as_text, inspect_moving, may_go
 from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.mover import PATTERN, Part, mover_parameters
 from ctrl_rl_bringup.preflight.recording import OdometrySample, Recording, ScanSample, Times
-from ctrl_rl_bringup.preflight.report import as_text
-from ctrl_rl_bringup.preflight.scan_match import shift_mismatches, turn_mismatches
+from ctrl_rl_bringup.preflight.scan_checks import shift_mismatches, turn_mismatches
 from ctrl_rl_core.sensing.scan import ScanGeometry
 
 LIMITS = Limits(lidar_x=0.0)

@@ -1,7 +1,7 @@
 """Progress where no terminal is."""
 
 import pytest
-from ctrl_rl_bringup.runner.progress import ProgressDisplay
+from ctrl_rl_bringup.runner.monitor import ProgressDisplay
 
 
 def test_a_log_gets_as_many_lines_as_asked_for_and_the_last_word(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ import time
 
 import pytest
 from ctrl_rl_bringup.runner.monitor import Monitor
-from ctrl_rl_bringup.runner.session import ros, uninterrupted
+from ctrl_rl_bringup.runner.processes import ros, uninterrupted
 from rclpy.node import Node
 
 from ctrl_rl_core import RESULT

@@ -24,7 +24,7 @@ import rclpy
 from _common import Row, executable
 from control_latency import compare
 from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, policy_nodes, simulator
-from ctrl_rl_bringup.transfer.in_process import play_episode
+from ctrl_rl_bringup.transfer.table import play_episode
 from ctrl_rl_core.command import OptionalFileToWrite, make_command, some_of
 from ctrl_rl_core.io.results import read_experiment
 from geometry_msgs.msg import TwistStamped

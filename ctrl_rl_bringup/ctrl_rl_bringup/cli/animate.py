@@ -31,7 +31,7 @@ def animate() -> int:
 
 def _animate(options: AnimateOptions) -> int:
     bag = options.folder / "bag"
-    from ctrl_rl_bringup.corridor.animation import animate_drive  # matplotlib takes long to load
+    from ctrl_rl_bringup.corridor.plot import animate_drive  # matplotlib takes long to load
 
     animate_drive(bag, read_drive(bag), options.output)
     print(f"animation           {options.output}, {options.output.stat().st_size / 1000:.0f} kB")

@@ -32,7 +32,7 @@ def picture() -> int:
 
 
 def _picture(options: PictureOptions) -> int:
-    from ctrl_rl_bringup.hero.drive import drive
+    from ctrl_rl_bringup.hero.film import drive
 
     bag = options.folder / "bag"
     report = read_drive(bag) if bag.exists() else drive(options.folder, options.speed)

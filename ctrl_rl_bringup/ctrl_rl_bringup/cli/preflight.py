@@ -17,12 +17,11 @@ from tqdm import tqdm
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_folder
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out
-from ctrl_rl_bringup.preflight.inspection import inspect_moving, inspect_standing, may_go
+from ctrl_rl_bringup.preflight.inspection import as_text, inspect_moving, inspect_standing, may_go, write_report
 from ctrl_rl_bringup.preflight.listener import Listener
 from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.mover import Mover, mover_parameters, run_pattern
-from ctrl_rl_bringup.preflight.report import as_text, write_report
-from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_bringup.runner.processes import ros
 from ctrl_rl_core import RobotError, find_robot
 
 _LONGEST_S = 600.0

@@ -14,8 +14,7 @@ from option_coordinator.teams.team_file import Work
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.team.report import read_team
-from ctrl_rl_bringup.team.run import follow_running_team, run_team
-from ctrl_rl_bringup.team.stack import TeamConfig
+from ctrl_rl_bringup.team.run import TeamConfig, follow_running_team, run_team
 from ctrl_rl_core import CommandError, atomic_write, load_navigation_task, parse_options
 from option_coordinator import load_team
 

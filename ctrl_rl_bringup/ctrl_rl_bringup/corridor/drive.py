@@ -14,8 +14,7 @@ from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor
 from ctrl_rl_bringup.runner.prepare import new_run, value_files
-from ctrl_rl_bringup.runner.processes import Processes
-from ctrl_rl_bringup.runner.session import ros
+from ctrl_rl_bringup.runner.processes import Processes, ros
 from ctrl_rl_bringup.runner.stack import (
     DriveConfig,
     NodeSpec,

@@ -14,7 +14,7 @@ from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
-from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
+from ctrl_rl_bringup.runner.transport import recorded_parameters
 from ctrl_rl_core import CtrlRlError
 from koopman_lqr_controller import digest, find_policy, load_policy
 

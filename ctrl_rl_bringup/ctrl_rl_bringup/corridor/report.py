@@ -12,12 +12,18 @@ from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
-from ctrl_rl_bringup.corridor.filter_record import FILTER, GUARD, FilterRecord, read_filter
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
-from ctrl_rl_bringup.corridor.mover_tracks import MOVERS, MoverTrack, read_movers
+from ctrl_rl_bringup.corridor.surroundings import (
+    FILTER,
+    GUARD,
+    MOVERS,
+    FilterRecord,
+    MoverTrack,
+    read_filter,
+    read_movers,
+)
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
-from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
-from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
+from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent, recorded_parameters
 from ctrl_rl_core import load_navigation_task
 from ctrl_rl_msgs.msg import TaskOutcome
 

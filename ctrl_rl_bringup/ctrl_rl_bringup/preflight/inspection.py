@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
 
-from ctrl_rl_bringup.preflight import frame_checks, motion_checks, robot_checks, scan_checks, time_checks, topic_checks
+from ctrl_rl_core.io.atomic_write import atomic_write
+
+from ctrl_rl_bringup.preflight import frame_checks, motion_checks, robot_checks, scan_checks, topic_checks
 from ctrl_rl_bringup.preflight.finding import Finding, Level, Limits
 from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.recording import Recording
@@ -15,8 +21,8 @@ STANDING: tuple[Callable[[Recording, Limits], Iterator[Finding]], ...] = (
     topic_checks.check_command_type,
     topic_checks.check_qos,
     topic_checks.check_commanders,
-    time_checks.check_rates,
-    time_checks.check_stamps,
+    topic_checks.check_rates,
+    topic_checks.check_stamps,
     frame_checks.check_names,
     frame_checks.check_tree,
     frame_checks.check_odometry_agrees,
@@ -56,3 +62,37 @@ def inspect_moving(motion: Motion, limits: Limits, on_the_floor: bool) -> list[F
 def may_go(findings: list[Finding]) -> bool:
     """Return whether nothing keeps the robot from driving."""
     return all(finding.level is not Level.NO_GO for finding in findings)
+
+
+def as_text(findings: Sequence[Finding]) -> str:
+    """Return a line for each finding, one for what to do about it, and the verdict."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.level.value:<9} {finding.check:<24} {finding.text}")
+        if finding.advice:
+            lines.append(f"{'':<34}> {finding.advice}")
+    return "\n".join((*lines, "", verdict(findings)))
+
+
+def verdict(findings: Sequence[Finding]) -> str:
+    """Return go or no-go in one line."""
+    count = {level: sum(finding.level is level for finding in findings) for level in Level}
+    rest = f"{count[Level.OK]} ok, {count[Level.NOTE]} to note, {count[Level.LEFT_OUT]} left out"
+    return f"GO: {rest}" if may_go(list(findings)) else f"NO-GO: {count[Level.NO_GO]} wrong, {rest}"
+
+
+def write_report(folder: Path, findings: Sequence[Finding], limits: Limits) -> None:
+    """Write preflight.txt and preflight.json into a folder, each atomically.
+
+    Raises:
+        OSError: A file cannot be written; the error names it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "go": may_go(list(findings)),
+        "findings": [{**asdict(finding), "level": finding.level.value} for finding in findings],
+        "limits": asdict(limits),
+    }
+    atomic_write(folder / "preflight.json", json.dumps(content, indent=1) + "\n")
+    atomic_write(folder / "preflight.txt", as_text(findings) + "\n")

@@ -13,7 +13,7 @@ from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out, no_go, 
 from ctrl_rl_bringup.preflight.mover import Part
 from ctrl_rl_bringup.preflight.recording import OdometrySample, Points, Recording
 from ctrl_rl_bringup.preflight.robot_checks import STANDS
-from ctrl_rl_bringup.preflight.scan_match import shift_mismatches, turn_mismatches
+from ctrl_rl_bringup.preflight.scan_checks import shift_mismatches, turn_mismatches
 
 _SETTLED_S = 0.6
 """Time before the end of a rest in which the robot has come to a stand [s]."""

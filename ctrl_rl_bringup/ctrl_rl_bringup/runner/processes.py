@@ -5,18 +5,53 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
+import rclpy
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from ctrl_rl_core.processes.children import start_child
+from ctrl_rl_core.processes.children import end_with_ros2, start_child
+from ctrl_rl_core.processes.signals import handle_signals, interrupt_once
+from ctrl_rl_core.ros.running import initialise
 
-from ctrl_rl_bringup.runner.session import uninterrupted
 from ctrl_rl_bringup.runner.stack import NodeSpec
 from ctrl_rl_core import CtrlRlError
+
+
+@contextmanager
+def ros(arguments: list[str] | None = None) -> Iterator[None]:
+    """Let rclpy be there; a signal raises KeyboardInterrupt once, those that follow must wait for the end.
+
+    Args:
+        arguments: Words of a command line with ROS arguments; those of the process unless given.
+
+    Raises:
+        ParameterError: A ROS argument is wrong, or ROS cannot run here.
+    """
+    end_with_ros2()
+    with interrupt_once():
+        # rclpy's own handlers would close the context under whoever is waiting in it.
+        initialise(sys.argv if arguments is None else arguments)
+        try:
+            yield
+        finally:
+            rclpy.try_shutdown()
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let a signal interrupt after this block, not within it, where it would be lost or leave something half done."""
+    caught: list[int] = []
+    with handle_signals(lambda number, _frame: caught.append(number)):
+        yield
+    if caught:
+        signal.raise_signal(caught[0])
+
 
 _STOP_S = 15.0
 _FULL_BYTES = 1_000_000

@@ -1,4 +1,4 @@
-"""Transport figures of a bag: lost messages, and the latency from a message to its answer."""
+"""What a bag tells about its run: nodes' parameters, lost messages, latency from a message to its answer."""
 
 from __future__ import annotations
 
@@ -6,12 +6,25 @@ import struct
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from ctrl_rl_core.io.checked_json import parse_json
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import read_serialized
+from ctrl_rl_core import CtrlRlError
+
+
+def recorded_parameters(custom_data: Mapping[str, str], node: str) -> dict[str, Any]:
+    """Return a node's parameters, whatever its namespace; none where the bag does not say them, or they are damaged."""
+    keys = (key for key in custom_data if key.startswith("parameters.") and key.endswith(f"/{node}"))
+    try:
+        content = parse_json(custom_data.get(min(keys, default=""), "{}"))
+    except CtrlRlError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
 
 _CDR_HEADER = 4
 _STAMP = struct.Struct("<iI")

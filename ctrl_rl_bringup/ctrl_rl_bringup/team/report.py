@@ -15,8 +15,7 @@ from option_coordinator.environments.option_env import Span
 from option_coordinator.protocol.protocol_types import GrantStatus
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
-from ctrl_rl_bringup.runner.recorded_parameters import recorded_parameters
-from ctrl_rl_bringup.runner.transport import lost_messages, read_sent
+from ctrl_rl_bringup.runner.transport import lost_messages, read_sent, recorded_parameters
 
 Array = NDArray[np.float64]
 
