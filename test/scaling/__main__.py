@@ -14,22 +14,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from _systems import GRIDS, problem_of
 from ctrl_rl_core.io.results import Result, add_results
 from tqdm import tqdm
 
-from ctrl_rl_core import Axis, Interval, Quantity, Region, System, parse_options
-from ttr_reward_node import TimeToReachProblem, problem_from_task, solve
+from ctrl_rl_core import parse_options
+from ttr_reward_node import solve
 
-GRIDS = {
-    "car": ((51, 51, 36), (101, 101, 72)),
-    "pendulum pair": ((13,) * 4, (17,) * 4),
-    "planar quadrotor, undecomposed": ((12,) * 6,),
-}
 PEERS = "car", "pendulum pair"
 INSTALL = "it cannot import hj_reachability: pip install -r requirements/benchmarks.txt, or name a Python that has it"
 
@@ -100,8 +95,8 @@ def _in_process(name: str, counts: tuple[int, ...]) -> dict[str, float]:
 
 def _measure(name: str, counts: tuple[int, ...]) -> dict[str, float]:
     """Solve one grid; CPU and wall seconds, bytes a node by which the peak grows, sweeps, and the longest time [s]."""
-    solve(_problem(name, tuple(max(8, count // 2) for count in counts)), certify=False, finer=1)
-    problem = _problem(name, counts)
+    solve(problem_of(name, tuple(max(8, count // 2) for count in counts)), certify=False, finer=1)
+    problem = problem_of(name, counts)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.perf_counter()
     solution = solve(problem, certify=False, finer=1)
@@ -120,7 +115,7 @@ def _measure(name: str, counts: tuple[int, ...]) -> dict[str, float]:
 
 
 def _peer_seconds(name: str, counts: tuple[int, ...], horizon: float, peer: Path) -> float:
-    problem = _problem(name, counts)
+    problem = problem_of(name, counts)
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder) / "in.npz", Path(folder) / "out.npz"
         np.savez(
@@ -134,37 +129,6 @@ def _peer_seconds(name: str, counts: tuple[int, ...], horizon: float, peer: Path
         )
         subprocess.run([peer, Path(__file__).with_name("_hj_reachability.py"), given, found], check=True)
         return float(np.load(found)["seconds"])
-
-
-def _problem(name: str, counts: tuple[int, ...]) -> TimeToReachProblem:
-    if name == "pendulum pair":
-        return _pendulum_pair(counts)
-    task = problem_from_task("car_ttr" if name == "car" else "quad_ttr")
-    axes = tuple(replace(axis, count=count) for axis, count in zip(task.axes, counts, strict=True))
-    return replace(task, axes=axes, clearance=None)
-
-
-def _pendulum_pair(counts: tuple[int, ...]) -> TimeToReachProblem:
-    """Return two upright pendulums that a spring couples: every derivative of a speed depends on three states."""
-
-    def equations(math: Any, _p: Any) -> Any:
-        def rates(x: Any, u: Any, _d: Any) -> Any:
-            pull = math.sin(x[2] - x[0])
-            return x[1], math.sin(x[0]) + 0.5 * pull + u[0], x[3], math.sin(x[2]) - 0.5 * pull + u[1]
-
-        return rates
-
-    states = tuple(Quantity(n, u) for n, u in (("a", "rad"), ("v", "rad/s"), ("b", "rad"), ("w", "rad/s")))
-    system = System(
-        name="pendulum pair",
-        states=states,
-        controls=tuple(Quantity(name, "1", -1.0, 1.0) for name in ("torque_a", "torque_b")),
-        disturbances=tuple(Quantity(f"d_{s.name}", f"{s.unit}/s", 0.0, 0.0) for s in states),
-        parameters={},
-        equations=equations,
-    )
-    axes = tuple(Axis(s.name, s.unit, -1.6, 1.6, count) for s, count in zip(states, counts, strict=True))
-    return TimeToReachProblem(system, axes, Region({s.name: Interval(-0.4, 0.4) for s in states}))
 
 
 if __name__ == "__main__":
