@@ -36,7 +36,7 @@ class Options:
     device: str = "cuda"
     """Device, as for `solve`."""
     references: Path | None = None
-    """Folder of solutions of the CPU, NAME COUNT.npz with the array v for each grid that has one."""
+    """Folder of solutions of the CPU: car_101.npz, pair_17.npz and the like, each with an array v."""
     only: str = ""
     """One system: car, pendulum pair, or planar quadrotor, undecomposed."""
     counts: tuple[int, ...] = ()
@@ -86,7 +86,7 @@ def _measure(name: str, counts: tuple[int, ...], options: Options) -> list[Resul
         ("sweeps", "1", float(solution.sweeps)),
         ("reachable", "1", solution.reachable),
     ]
-    reference = options.references and options.references / f"{name} {counts[0]}.npz"
+    reference = options.references and options.references / f"{name.split()[-1]}_{counts[0]}.npz"
     if reference and reference.exists():
         found += _compare(solution.grid.values, np.load(reference)["v"])
     method = f"{name}, {' x '.join(map(str, counts))}, on {gpu.name}"

@@ -1,11 +1,11 @@
-"""The GPU's kernels, run on the CPU, against the Numba solver."""
+"""The GPU's kernels against the Numba solver: on the CPU, or on a GPU with CTRL_RL_TEST_DEVICE=cuda."""
 
 import importlib.util
+import os
 import sys
 
 import numpy as np
 import pytest
-from ttr_reward_node.cli.values import solve_value
 from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.solvers.decomposition import find_decomposition, solve_decomposed
 from ttr_reward_node.solvers.near_nodes import find_near_nodes
@@ -15,6 +15,7 @@ from ttr_reward_node.solvers.steps import crossing_time, make_layout, make_steps
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System
 from ttr_reward_node import TimeToReachError, TimeToReachProblem, problem_from_task, solve
 
+DEVICE = os.environ.get("CTRL_RL_TEST_DEVICE", "warp:cpu")
 needs_warp = pytest.mark.skipif(
     importlib.util.find_spec("warp") is None, reason="NVIDIA Warp is not installed: requirements/gpu.txt"
 )
@@ -59,7 +60,7 @@ PROBLEMS = {
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_gpu_kernels_agree_with_the_compiled_solver(name):
     problem = PROBLEMS[name]()
-    ours, theirs = (solve(problem, certify=False, finer=1, device=device) for device in ("warp:cpu", "cpu"))
+    ours, theirs = (solve(problem, certify=False, finer=1, device=device) for device in (DEVICE, "cpu"))
     assert ours.converged
     assert theirs.converged
     ours, theirs = ours.grid.values, theirs.grid.values
@@ -74,9 +75,9 @@ def test_gpu_kernels_agree_with_the_compiled_solver(name):
 @needs_warp
 def test_every_run_on_a_device_gives_the_same_answer():
     problem = PROBLEMS["rows alike"]()
-    first, second = (solve(problem, certify=False, device="warp:cpu").grid for _ in range(2))
+    first, second = (solve(problem, certify=False, device=DEVICE).grid for _ in range(2))
     np.testing.assert_array_equal(first.values, second.values)
-    assert first.notes["device"] == "warp:cpu"
+    assert first.notes["device"] == DEVICE
 
 
 @needs_warp
@@ -94,18 +95,20 @@ def test_outcomes_near_target_and_obstacles_are_the_same(name):
         steps.codes, steps.ends, steps.ranges, steps.lengths > 3.5, steps.controls, discounts, steps.durations
     )
     theirs = find_near_nodes(problem, layout, steps, table, grid, 1e-3)
-    ours = find_near_nodes(problem, layout, steps, table, grid, 1e-3, OutcomeFinder("cpu"), 10_000)
+    ours = find_near_nodes(
+        problem, layout, steps, table, grid, 1e-3, OutcomeFinder(DEVICE.removeprefix("warp:")), 10_000
+    )
     np.testing.assert_array_equal(ours.flags, theirs.flags)
     np.testing.assert_allclose(ours.outcomes, theirs.outcomes, atol=1e-6)
 
 
 @needs_warp
 def test_a_solution_of_the_gpu_kernels_is_certified_and_decomposed():
-    solution = solve(problem_from_task("car_ttr", counts=(41, 41, 24)), device="warp:cpu")
+    solution = solve(problem_from_task("car_ttr", counts=(41, 41, 24)), device=DEVICE)
     assert not solution.certificate.doubts
     problem = problem_from_task("quad_ttr", counts=(8,) * 6)
     decomposition = find_decomposition(problem.system, "4d+4d")
-    ours, theirs = (solve_decomposed(problem, decomposition, device=device) for device in ("warp:cpu", "cpu"))
+    ours, theirs = (solve_decomposed(problem, decomposition, device=device) for device in (DEVICE, "cpu"))
     for one, other in zip(ours.grids, theirs.grids, strict=True):
         both = np.isfinite(one.values) & np.isfinite(other.values)
         assert np.median(np.abs(one.values[both] - other.values[both])) < 0.05
@@ -118,6 +121,8 @@ def test_unknown_devices_are_refused(device):
 
 
 def test_a_gpu_that_is_not_there_is_refused_in_one_line(capfd, tmp_path, monkeypatch):
+    from ttr_reward_node.cli.values import solve_value
+
     monkeypatch.setattr("ttr_reward_node.solvers.devices._driver_is_there", lambda: False)
     monkeypatch.setattr(sys, "argv", ["solve", "--task", "car_ttr", "--device", "cuda"])
     monkeypatch.chdir(tmp_path)
