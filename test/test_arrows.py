@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -224,3 +225,43 @@ def test_every_package_is_a_colcon_package_of_the_right_kind() -> None:
     )
     kinds = {line.split()[0]: line.split()[-1].strip("()") for line in answer.stdout.splitlines()}
     assert kinds == {"ctrl_rl_msgs": "ros.ament_cmake", **dict.fromkeys(MAY_IMPORT, "ros.ament_python")}
+
+
+HELD = ("ctrl_rl_bags", "option_coordinator", "oc_baseline_node", "ctrl_rl_bringup", "sim_bridge")
+"""Packages whose imports from others are clean; in the end all are."""
+
+
+def deep_imports(package: str) -> list[str]:
+    """Return imports that pass by the faces of other packages and of their rooms, `from package.room.file`."""
+    found = []
+    for file in sorted((ROOT / package).rglob("*.py")):
+        for node in imports(file):
+            if not isinstance(node, ast.ImportFrom) or node.level or not node.module:
+                continue
+            other, *inside = node.module.split(".")
+            if other in MAY_IMPORT and other != package and len(inside) > 1:
+                found.append(f"{file.relative_to(ROOT)}:{node.lineno}: from {node.module}")
+    return found
+
+
+@pytest.mark.parametrize("package", HELD)
+def test_other_packages_are_imported_by_their_faces(package: str) -> None:
+    assert deep_imports(package) == []
+
+
+FACES = [
+    ".".join(file.relative_to(ROOT).parts[1:-1])
+    for package in MAY_IMPORT
+    for file in sorted((ROOT / package / package).rglob("__init__.pyi"))
+]
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_a_face_has_what_its_stub_names(face: str) -> None:
+    stub = ast.parse((ROOT / face.split(".")[0]).joinpath(*face.split("."), "__init__.pyi").read_text(encoding="utf-8"))
+    module = import_module(face)
+    for node in stub.body:
+        assert isinstance(node, ast.ImportFrom), ast.unparse(node)
+        names = [str(alias.asname or alias.name) for alias in node.names]
+        assert not {name for name in names if f"{face}.{name}" in MODULES}, "a module hides a name of the face"
+        assert set(names) <= set(dir(module))

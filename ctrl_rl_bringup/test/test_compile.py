@@ -2,12 +2,13 @@
 
 import pytest
 from ctrl_rl_bringup.cli.compile import KERNELS
-from ctrl_rl_core.values.interpolation import gradient_at, value_at, values_at
-from ctrl_rl_navigation.driving.roll_out import choose
-from ctrl_rl_navigation.values.fast_marching import march
-from ctrl_rl_safety.filter.answer import answer
-from ctrl_rl_safety.flight.escapes import best_escape, nearest_safe, record
-from ttr_reward_node.kernels.entry_points import kernels
+from ctrl_rl_core.values import gradient_at, value_at, values_at
+from ctrl_rl_navigation.driving import choose
+from ctrl_rl_navigation.values import march
+from ctrl_rl_safety.flight import best_escape, nearest_safe, record
+from ttr_reward_node.kernels import kernels
+
+from ctrl_rl_safety import answer
 
 COMPILED = {
     "safety filter": [answer],

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from ctrl_rl_bringup.corridor.surroundings import FILTER, GUARD, read_filter
 from ctrl_rl_bringup.runner.stack import guards, policy_nodes
-from ctrl_rl_core.ros.node import to_stamp
+from ctrl_rl_core.ros import to_stamp
 from rclpy.serialization import serialize_message
 
 from ctrl_rl_bags import BagWriter, Topic, message_definition

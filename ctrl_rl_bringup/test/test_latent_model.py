@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ctrl_rl_bringup.corridor.latent_model import LatentModel, read_latent_model
-from ctrl_rl_core.ros.node import to_stamp
+from ctrl_rl_core.ros import to_stamp
 from rclpy.serialization import serialize_message
 
 from ctrl_rl_bags import BagWriter, Topic, message_definition

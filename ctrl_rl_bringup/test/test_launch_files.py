@@ -11,7 +11,8 @@ import pytest
 from ctrl_rl_bringup.runner.processes import executable_path
 from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, controller, recorder, simulator, value_nodes
 from ctrl_rl_bringup.team.run import TeamConfig, agents, coordinator, team_simulator
-from option_coordinator.teams.team_file import load_team
+
+from option_coordinator import load_team
 
 FILES = sorted((Path(__file__).parents[1] / "launch").glob("*.launch.py"))
 RUNS = [file for file in FILES if "Launch(" in file.read_text()]

@@ -20,10 +20,11 @@ from ctrl_rl_bringup.preflight.recording import (
     Times,
     Topic,
 )
-from ctrl_rl_core.navigation.occupancy_map import OCCUPIED, OccupancyMap
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, SENSOR
-from ctrl_rl_core.sensing.scan import ScanGeometry
+from ctrl_rl_core.navigation import OCCUPIED
+from ctrl_rl_core.ros import LATCHED
 from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from ctrl_rl_core import COMMAND, SENSOR, OccupancyMap, ScanGeometry
 
 LIMITS = Limits()
 BEAMS = 360

@@ -11,7 +11,8 @@ from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.mover import PATTERN, Part, mover_parameters
 from ctrl_rl_bringup.preflight.recording import OdometrySample, Recording, ScanSample, Times
 from ctrl_rl_bringup.preflight.scan_checks import shift_mismatches, turn_mismatches
-from ctrl_rl_core.sensing.scan import ScanGeometry
+
+from ctrl_rl_core import ScanGeometry
 
 LIMITS = Limits(lidar_x=0.0)
 BEAMS = 360

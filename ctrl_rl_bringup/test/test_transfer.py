@@ -6,7 +6,7 @@ from shutil import copy
 import pytest
 from ctrl_rl_bringup.cli.transfer import transfer
 from ctrl_rl_bringup.transfer.table import SHIFTS, Cell, Entry, drive_cells, plan_cells, play_episode, transfer_ratios
-from ctrl_rl_core.io.results import read_experiment
+from ctrl_rl_core.io import read_experiment
 
 from ctrl_rl_core import Actor, Outcome, find_policy, load_navigation_task, load_policy
 from sim_bridge import SimulationOptions

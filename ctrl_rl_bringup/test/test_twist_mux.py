@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import yaml
-from ctrl_rl_core.driving.watchdog_node import INPUT
+from ctrl_rl_core.driving import INPUT
 
 PACKAGE = Path(__file__).parents[1]
 SETTINGS = yaml.safe_load((PACKAGE / "config" / "twist_mux.yaml").read_text())["twist_mux"]["ros__parameters"]

@@ -36,6 +36,7 @@ from .io.results import ResultsError as ResultsError
 from .io.results import read_benchmarks as read_benchmarks
 from .io.results import read_results as read_results
 from .io.results import write_results as write_results
+from .io.results_page import results_page as results_page
 from .navigation.occupancy_map import MapError as MapError
 from .navigation.occupancy_map import OccupancyMap as OccupancyMap
 from .plots import draw_map as draw_map

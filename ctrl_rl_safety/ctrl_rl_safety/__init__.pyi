@@ -1,4 +1,5 @@
 from .errors import SafetyError as SafetyError
+from .filter.answer import answer as answer
 from .filter.safety_filter import SafetyFilter as SafetyFilter
 from .filter.verdict import FilterOptions as FilterOptions
 from .filter.verdict import Mode as Mode

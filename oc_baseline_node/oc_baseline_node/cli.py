@@ -27,10 +27,9 @@ from ctrl_rl_core.command import (
     make_command,
     name_and_value,
 )
-from ctrl_rl_core.io.results import write_results
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
 from numpy.typing import NDArray
 
+from ctrl_rl_core import NavigationTask, load_navigation_task, write_results
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.problems.extraction import extract
 from oc_baseline_node.problems.problem import Form, OptimalControlProblem, formulate

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from ctrl_rl_core.ros.value_server import Valued
-from ctrl_rl_core.values.value_function import check_function
+from ctrl_rl_core.ros import Valued
+from ctrl_rl_core.values import check_function
 
 from ctrl_rl_core import (
     SERVER_PARAMETERS,

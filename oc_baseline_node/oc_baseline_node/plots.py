@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.plots import draw_map, draw_path, draw_values, named_value, picture, word_at
-from ctrl_rl_core.values.plane import plane_of
+from ctrl_rl_core.plots import draw_values, named_value, word_at
+from ctrl_rl_core.values import plane_of
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Axis, NavigationTask, ValueFunction, position_indices
+from ctrl_rl_core import Axis, NavigationTask, ValueFunction, draw_map, draw_path, picture, position_indices
 from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]

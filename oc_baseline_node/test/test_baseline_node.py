@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import LATCHED
-from ctrl_rl_core.ros.value_messages import answer
-from ctrl_rl_core.values.value_function import ROWS
-from ctrl_rl_core.values.value_grid import Axis
+from ctrl_rl_core.ros import LATCHED, answer
+from ctrl_rl_core.values import ROWS, Axis
 from nav_msgs.msg import OccupancyGrid, Odometry
 from oc_baseline_node.node import OcBaselineNode
 from oc_baseline_node.values.collision_set import CollisionSet

@@ -4,8 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
-from ctrl_rl_learning.sb3.environment import make_environment
+from ctrl_rl_learning.sb3 import REWARD_SCALE, make_environment
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.systems.system import make_system
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_learning.sb3.algorithms import ROLL_OUT
+from ctrl_rl_learning.sb3 import ROLL_OUT
 from hypothesis import given
 from hypothesis import strategies as st
 from oc_baseline_node.training.analysis import gradients
@@ -22,6 +20,8 @@ from oc_baseline_node.training.analysis.mismatch import (
     with_extra_mass,
 )
 from oc_baseline_node.training.experiments.runs import OcRun
+
+from ctrl_rl_core import load_navigation_task, make_system
 
 MPC = Path(__file__).parents[2] / "docs" / "results" / "oc_mpc_quad_navigation.json"
 CAR = load_navigation_task("car_navigation")

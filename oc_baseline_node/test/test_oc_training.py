@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ctrl_rl_learning.sb3 import algorithms
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.trainer import train as train_run
+from ctrl_rl_learning.study import RunOptions
+from ctrl_rl_learning.study import train as train_run
 from oc_baseline_node.training.cli import plot, train
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 from oc_baseline_node.training.experiments.results import collect

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.values.value_grid import Axis
+from ctrl_rl_core.values import Axis
 from oc_baseline_node.values.collision_set import CollisionHeader, CollisionSet
 from oc_baseline_node.values.mlp_value import features
 from oc_baseline_node.values.value_file import load_network

@@ -18,11 +18,11 @@ from ctrl_rl_core.plots import (
     legend_below,
     moving_picture,
     name_axes,
-    picture,
     write_small,
 )
 from matplotlib.axes import Axes
 
+from ctrl_rl_core import picture
 from option_coordinator.environments.option_env import OptionEnvironment, Span
 from option_coordinator.errors import OptionError
 

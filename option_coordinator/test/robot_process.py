@@ -5,7 +5,7 @@ import sys
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import ok
+from ctrl_rl_core.ros import ok
 from option_coordinator.nodes.option_agent import STEADY, Clocks
 
 from ctrl_rl_core import Parameter, SuiteNode, run_node

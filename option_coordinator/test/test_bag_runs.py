@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.trainer import train as train_run
+from ctrl_rl_learning.study import RunOptions
+from ctrl_rl_learning.study import train as train_run
 from option_coordinator.environments.roll_out import RollOut
 from option_coordinator.training.cli.learning import train
 from option_coordinator.training.experiments.bag_runs import BagRun

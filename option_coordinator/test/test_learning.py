@@ -6,11 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_learning.study.matrix import run_experiments
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.run_folder import result_file
-from ctrl_rl_learning.study.trainer import train
-from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
+from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, train
+from ctrl_rl_learning.torch import ReplayBuffer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from option_coordinator.data.trajectory import advantages

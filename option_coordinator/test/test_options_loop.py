@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.io.checked_json import read_json
+from ctrl_rl_core.io import read_json
 from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.tasks import make_environment

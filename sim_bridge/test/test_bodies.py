@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.schema.robot import RobotSpec
+from ctrl_rl_core.tasks import RobotSpec, wrap
 
 from ctrl_rl_core import load_navigation_task
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.schema.world import MapSpec
+from ctrl_rl_core.tasks import MapSpec
 
 from ctrl_rl_core import OccupancyMap
 

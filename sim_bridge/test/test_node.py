@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import LATCHED, seconds
+from ctrl_rl_core.ros import LATCHED, seconds
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry

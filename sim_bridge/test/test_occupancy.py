@@ -1,5 +1,5 @@
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
+from ctrl_rl_core.navigation import FREE, OCCUPIED
 from sim_bridge.simulation.occupancy import draw_map
 
 from ctrl_rl_core import load_navigation_task

@@ -1,7 +1,7 @@
 """What the policy node observes on topics is what the environments of the same tasks observe."""
 
 import pytest
-from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.policies import ObservationBuilder
 from sim_bridge.environments import NavigationEnv
 from sim_bridge.simulation.options import SimulationOptions
 

@@ -3,7 +3,7 @@ import sys
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.task_sets import PathCoordinates
+from ctrl_rl_core.tasks import PathCoordinates
 
 from ctrl_rl_core import TaskError, load_navigation_task
 

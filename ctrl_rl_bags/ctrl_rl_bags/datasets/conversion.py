@@ -11,8 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from ctrl_rl_core.io.atomic_write import temporary_beside
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io import raise_as, temporary_beside
 
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
 from ctrl_rl_bags.datasets.frames import DatasetError, Frames, Layout

@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import parse_json
-from ctrl_rl_core.io.file_checks import as_text, read_bytes
-from ctrl_rl_core.io.schema import Name, Number, Positive, Schema
-from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
-from ctrl_rl_core.sensing.scan import MOST_BEAMS
+from ctrl_rl_core.io import Name, Number, Positive, Schema, as_text, parse_json, read_bytes
+from ctrl_rl_core.sensing import MOST_BEAMS, ODOMETRY_NAMES
 from numpy.typing import NDArray
 from pydantic import Field
 

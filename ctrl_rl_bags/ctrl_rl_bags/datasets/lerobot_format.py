@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from ctrl_rl_core.io.checked_png import check_png
-from ctrl_rl_core.io.file_checks import FileError, open_file
-from ctrl_rl_core.processes.limited import limited_memory
+from ctrl_rl_core.io import FileError, check_png, open_file
+from ctrl_rl_core.processes import limited_memory
 from numpy.typing import NDArray
 from PIL import Image
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from ctrl_rl_core.io.file_checks import open_file
-from ctrl_rl_core.processes.limited import limited_memory
+from ctrl_rl_core.io import open_file
+from ctrl_rl_core.processes import limited_memory
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.datasets.frames import (

@@ -6,13 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.sensing.pose import PoseError
-from ctrl_rl_core.sensing.pose import read_goal as core_read_goal
-from ctrl_rl_core.sensing.scan import ScanGeometry, nearest_beams, read_scan
+from ctrl_rl_core.sensing import nearest_beams
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.datasets.frames import GOAL_NAMES, ImageLayout, ScanLayout, is_usable
 from ctrl_rl_bags.format.checks import BagError, printable
+from ctrl_rl_core import PoseError, ScanGeometry, read_scan
+from ctrl_rl_core import read_goal as core_read_goal
 
 Array = NDArray[np.float64]
 _COLOURS = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
+from ctrl_rl_core.sensing import ODOMETRY_NAMES
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.alignment.clocks import Tell, clock_runs

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
-from ctrl_rl_core.io.file_checks import FileError, one_line, open_file
+from ctrl_rl_core.io import FileError, one_line, open_file
 
 from ctrl_rl_core import CtrlRlError
 

@@ -8,8 +8,8 @@ import re
 import sys
 import time
 
-from ctrl_rl_core.io.file_checks import FileError, open_file
-from ctrl_rl_core.ros.node import Status, ok, warn
+from ctrl_rl_core.io import FileError, open_file
+from ctrl_rl_core.ros import Status, ok, warn
 from rclpy.clock import Clock, ClockType
 
 from ctrl_rl_bags.format.checks import BagError

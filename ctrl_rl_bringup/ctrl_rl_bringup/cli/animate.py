@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_core.command import FileToWrite, parse_options, run_command
+from ctrl_rl_core.command import FileToWrite
 
 from ctrl_rl_bringup.corridor.report import read_drive
+from ctrl_rl_core import parse_options, run_command
 
 
 @dataclass(frozen=True)

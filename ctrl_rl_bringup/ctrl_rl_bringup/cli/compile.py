@@ -11,12 +11,22 @@ from pathlib import Path
 
 import numpy as np
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.command import parse_options, run_command
 from ctrl_rl_core.help_pages import keep_page
-from ctrl_rl_core.processes.workers import map_in_processes
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.robots import DEFAULT_ROBOT
 
-from ctrl_rl_core import Axis, Interval, Quantity, Region, System, ValueGrid, entry, find_robot
+from ctrl_rl_core import (
+    Axis,
+    Interval,
+    Quantity,
+    Region,
+    System,
+    ValueGrid,
+    entry,
+    find_robot,
+    map_in_processes,
+    parse_options,
+    run_command,
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,7 @@ def _call(name: str) -> str:
 
 
 def _filter() -> None:
-    from ctrl_rl_safety.filter.warming import warm_up
+    from ctrl_rl_safety.filter import warm_up
 
     from ctrl_rl_safety import ROBOTS, FilterOptions
 
@@ -94,7 +104,7 @@ def _solver_of_nodes() -> None:
 
 
 def _navigator() -> None:
-    from ctrl_rl_navigation.driving.navigator import warm_up
+    from ctrl_rl_navigation.driving import warm_up
     from ctrl_rl_navigation.robot import limits_of
 
     warm_up(limits_of(find_robot(DEFAULT_ROBOT)))

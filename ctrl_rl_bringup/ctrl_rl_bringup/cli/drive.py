@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least
-from ctrl_rl_core.io.results_page import results_page
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
@@ -21,6 +20,7 @@ from ctrl_rl_core import (
     atomic_write,
     load_navigation_task,
     parse_options,
+    results_page,
     write_results,
 )
 from ctrl_rl_msgs.msg import TaskOutcome

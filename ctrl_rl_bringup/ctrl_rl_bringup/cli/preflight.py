@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from ctrl_rl_core.command import EXIT_USAGE, CommandError, FiniteNumber, folder_to_write, parse_options, run_command
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.command import EXIT_USAGE, FiniteNumber, folder_to_write
+from ctrl_rl_core.robots import DEFAULT_ROBOT
 from rclpy.executors import Executor, SingleThreadedExecutor
 from tqdm import tqdm
 
@@ -22,7 +22,7 @@ from ctrl_rl_bringup.preflight.listener import Listener
 from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.mover import Mover, mover_parameters, run_pattern
 from ctrl_rl_bringup.runner.processes import ros
-from ctrl_rl_core import RobotError, find_robot
+from ctrl_rl_core import CommandError, RobotError, find_robot, parse_options, run_command
 
 _LONGEST_S = 600.0
 _EPILOG = """Exit code 0: go; 1: no-go; 2: the command line is wrong, or the report cannot be written.

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 from ctrl_rl_core.command import at_least
-from ctrl_rl_core.io.checked_json import with_digest
-from option_coordinator.teams.team_file import Work
+from ctrl_rl_core.io import with_digest
+from option_coordinator.teams import Work
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.team.report import read_team

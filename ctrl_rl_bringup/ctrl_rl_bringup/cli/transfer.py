@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from ctrl_rl_core.command import CommandError, OptionalFileToWrite, at_least
-from ctrl_rl_core.io.results import read_experiment, results_lock
-from ctrl_rl_core.policies.policy import policy_digest, shipped_policies
+from ctrl_rl_core.command import OptionalFileToWrite, at_least
+from ctrl_rl_core.io import read_experiment, results_lock
+from ctrl_rl_core.policies import policy_digest, shipped_policies
 from tqdm import tqdm
 
 from ctrl_rl_bringup.cli.running import run_here
 from ctrl_rl_bringup.transfer.table import SHIFTS, Cell, Entry, drive_cells, plan_cells, transfer_ratios
 from ctrl_rl_core import (
+    CommandError,
     Result,
     find_policy,
     load_navigation_task,

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.io.checked_json import with_digest
-from ctrl_rl_core.io.checked_tensors import kind_of
+from ctrl_rl_core.io import kind_of, with_digest
 
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.monitor import EpisodeProgress, Monitor

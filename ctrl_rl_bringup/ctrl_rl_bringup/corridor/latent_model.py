@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.driving.arrival import ENDED
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.driving import ENDED
+from ctrl_rl_core.ros import seconds
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages

@@ -12,19 +12,16 @@ from ctrl_rl_core.plots import (
     SKY,
     Series,
     draw_mover,
-    draw_path,
     draw_robot,
     draw_series,
-    draw_world,
     film,
     map_beside,
     mark_clearance,
     moving_picture,
     name_axes,
-    picture,
     word_at,
 )
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.ros import seconds
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
@@ -32,7 +29,7 @@ from numpy.typing import NDArray
 from ctrl_rl_bags import BagError, read_messages
 from ctrl_rl_bringup.corridor.report import DriveReport
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
-from ctrl_rl_core import NavigationTask, load_navigation_task
+from ctrl_rl_core import NavigationTask, draw_path, draw_world, load_navigation_task, picture
 
 _COMMANDS = {"xy": ("speed [m/s]", "turn rate [rad/s]"), "xz": ("$T_1$ [N]", "$T_2$ [N]")}
 """Names of the two commands by the plane of the task."""

@@ -13,16 +13,14 @@ from ctrl_rl_core.plots import (
     draw_mover,
     draw_robot,
     draw_values,
-    draw_world,
     film,
     moving_picture,
     name_axes,
     word_at,
 )
-from ctrl_rl_navigation.cli.simulation import task_content
+from ctrl_rl_navigation.cli import task_content
 from ctrl_rl_navigation.maps import load_map, map_file
 from ctrl_rl_navigation.robot import limits_of
-from ctrl_rl_navigation.values.map_solver import MapSolver
 from geometry_msgs.msg import PoseStamped
 from matplotlib.patches import Circle
 from rclpy.node import Node
@@ -31,8 +29,9 @@ from ctrl_rl_bringup.corridor.drive import running
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
 from ctrl_rl_bringup.runner.prepare import new_run
 from ctrl_rl_bringup.runner.stack import RAW, DriveConfig, NodeSpec, guards
-from ctrl_rl_core import atomic_write, find_robot, load_navigation_task
+from ctrl_rl_core import atomic_write, draw_world, find_robot, load_navigation_task
 from ctrl_rl_msgs.msg import SafetyStatus
+from ctrl_rl_navigation import MapSolver
 
 MAP = "warehouse"
 START, GOAL = (7.5, 0.55, np.pi / 4), (3.7, 6.8)

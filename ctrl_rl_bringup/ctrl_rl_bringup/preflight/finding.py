@@ -7,7 +7,9 @@ from enum import Enum
 
 from ctrl_rl_core.command import FiniteNumber
 from ctrl_rl_core.errors import printable
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT, Robot, find_robot
+from ctrl_rl_core.robots import DEFAULT_ROBOT
+
+from ctrl_rl_core import Robot, find_robot
 
 
 class Level(Enum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks import wrap
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out, no_go, note, ok
 from ctrl_rl_bringup.preflight.frames import planar_pose

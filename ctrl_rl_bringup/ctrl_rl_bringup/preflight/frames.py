@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_conflicts import TransformConflicts
+from ctrl_rl_core.navigation import TransformConflicts
 from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]

@@ -8,12 +8,11 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ctrl_rl_core.io.atomic_write import atomic_write
-
 from ctrl_rl_bringup.preflight import frame_checks, motion_checks, robot_checks, scan_checks, topic_checks
 from ctrl_rl_bringup.preflight.finding import Finding, Level, Limits
 from ctrl_rl_bringup.preflight.motion_checks import Motion
 from ctrl_rl_bringup.preflight.recording import Recording
+from ctrl_rl_core import atomic_write
 
 STANDING: tuple[Callable[[Recording, Limits], Iterator[Finding]], ...] = (
     topic_checks.check_sensors,

@@ -7,12 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
-from ctrl_rl_core.ros.node import LATCHED, nanoseconds, seconds
-from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES, OdometryError, OdometryReader, read_odometry
-from ctrl_rl_core.sensing.pose import PoseError, read_planar_pose
-from ctrl_rl_core.sensing.scan import read_scan
+from ctrl_rl_core.ros import LATCHED, nanoseconds, seconds
+from ctrl_rl_core.sensing import ODOMETRY_NAMES
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import Executor
@@ -30,6 +26,16 @@ from ctrl_rl_bringup.preflight.recording import (
     ScanSample,
     Times,
     Topic,
+)
+from ctrl_rl_core import (
+    CtrlRlError,
+    OccupancyMap,
+    OdometryError,
+    OdometryReader,
+    PoseError,
+    read_odometry,
+    read_planar_pose,
+    read_scan,
 )
 
 try:

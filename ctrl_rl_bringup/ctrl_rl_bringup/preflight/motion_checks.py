@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks import wrap
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out, no_go, note, ok
 from ctrl_rl_bringup.preflight.mover import Part

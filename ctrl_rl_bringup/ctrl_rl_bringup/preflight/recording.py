@@ -9,11 +9,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import OccupancyMap
-from ctrl_rl_core.sensing.scan import ScanGeometry, echoes
+from ctrl_rl_core.sensing import echoes
 from numpy.typing import NDArray
 
 from ctrl_rl_bringup.preflight.frames import FrameTree
+from ctrl_rl_core import OccupancyMap, ScanGeometry
 
 _MOST = 50_000
 """Messages of a topic that are kept: ten minutes at 80 Hz."""

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import OCCUPIED, OccupancyMap
+from ctrl_rl_core.navigation import OCCUPIED
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, left_out, no_go, note, ok
 from ctrl_rl_bringup.preflight.frames import planar_pose
 from ctrl_rl_bringup.preflight.recording import Points, Recording
+from ctrl_rl_core import OccupancyMap
 
 STANDS = (0.02, 0.05)
 """Speed [m/s] and turn rate [rad/s] up to which a robot stands."""

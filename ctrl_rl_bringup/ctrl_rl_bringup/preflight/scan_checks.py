@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanError, ScanGeometry, view_scan
+from ctrl_rl_core.sensing import DIRECTIONS, view_scan
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, ok
 from ctrl_rl_bringup.preflight.recording import Points, Recording
+from ctrl_rl_core import ScanError, ScanGeometry
 
 _FARTHEST = 0.3
 """Distance at which an echo without a counterpart counts [m]."""

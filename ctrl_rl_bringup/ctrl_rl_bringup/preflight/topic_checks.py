@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, SENSOR
-from ctrl_rl_core.sensing.scan_health import lidar_identity
+from ctrl_rl_core.ros import LATCHED
+from ctrl_rl_core.sensing import lidar_identity
 from rclpy.duration import Duration
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from ctrl_rl_bringup.preflight.finding import Finding, Limits, no_go, note, ok
 from ctrl_rl_bringup.preflight.recording import Endpoint, Recording, Times, Topic
+from ctrl_rl_core import COMMAND, SENSOR
 
 KINDS = {"scan": "sensor_msgs/msg/LaserScan", "odom": "nav_msgs/msg/Odometry"}
 """Types of the topics without which no robot drives."""

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import rclpy
-from ctrl_rl_bags.recording.message_types import message_class
+from ctrl_rl_bags.recording import message_class
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 from tqdm import tqdm

@@ -34,7 +34,7 @@ def value_files(options: DriveConfig) -> dict[str, Path]:
     `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
     package.
     """
-    from oc_baseline_node.values.value_file import find_value, shipped_values  # Numba takes long to load
+    from oc_baseline_node import find_value, shipped_values  # Numba takes long to load
 
     task, out = load_navigation_task(options.task), {}
     if not task.grid:

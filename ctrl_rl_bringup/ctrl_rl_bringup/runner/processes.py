@@ -15,9 +15,8 @@ from types import TracebackType
 import rclpy
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from ctrl_rl_core.processes.children import end_with_ros2, start_child
-from ctrl_rl_core.processes.signals import handle_signals, interrupt_once
-from ctrl_rl_core.ros.running import initialise
+from ctrl_rl_core.processes import end_with_ros2, handle_signals, interrupt_once, start_child
+from ctrl_rl_core.ros import initialise
 
 from ctrl_rl_bringup.runner.stack import NodeSpec
 from ctrl_rl_core import CtrlRlError

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import parse_json
+from ctrl_rl_core.io import parse_json
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import read_serialized

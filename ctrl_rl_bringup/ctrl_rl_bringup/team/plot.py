@@ -5,11 +5,11 @@ from __future__ import annotations
 from itertools import cycle
 from pathlib import Path
 
-from ctrl_rl_core.plots import ROBOTS, draw_landmark, draw_map, draw_path, name_at_end, picture
+from ctrl_rl_core.plots import ROBOTS, draw_landmark, name_at_end
 from option_coordinator.plots import draw_spans
 
 from ctrl_rl_bringup.team.report import TeamRun
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, draw_map, draw_path, picture
 from option_coordinator import TeamFile
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.ros import seconds
 from numpy.typing import NDArray
-from option_coordinator.environments.option_env import Span
-from option_coordinator.protocol.protocol_types import GrantStatus
+from option_coordinator.environments import Span
+from option_coordinator.protocol import GrantStatus
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
 from ctrl_rl_bringup.runner.transport import lost_messages, read_sent, recorded_parameters

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from option_coordinator.nodes.messages import EXCHANGE
-from option_coordinator.protocol.protocol_types import GrantStatus
-from option_coordinator.scripted.policy_queries import SCRIPTED
-from option_coordinator.teams.team_file import Work, load_room, room_file
+from option_coordinator.nodes import EXCHANGE
+from option_coordinator.protocol import GrantStatus
+from option_coordinator.scripted import SCRIPTED
+from option_coordinator.teams import Work, load_room, room_file
 
 from ctrl_rl_bringup.runner.monitor import RECORDER, Monitor, MonitorError, ProgressDisplay
 from ctrl_rl_bringup.runner.prepare import new_run

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import digest
-from ctrl_rl_core.ros.parameters import of_robot
-from ctrl_rl_core.tasks.schema.randomisation import CONDITIONS
+from ctrl_rl_core.io import digest
+from ctrl_rl_core.ros import of_robot
+from ctrl_rl_core.tasks import CONDITIONS
 
 from ctrl_rl_bringup.runner.stack import through_doorways
 from ctrl_rl_core import (

@@ -1,1 +1,5 @@
 """Plane geometry, quantities with units, and poses from odometry."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

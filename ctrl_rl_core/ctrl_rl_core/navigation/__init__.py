@@ -1,1 +1,5 @@
 """Maps, transforms and poses for robots that drive to a goal on a map."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Tasks as validated YAML: regions, starts, outcomes, and the schema of each part."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Value functions on regular grids: interpolation, files, and the protocol of their users."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Learning with Stable-Baselines3."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Replay, and the state of networks and optimisers as files."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """The guard of a planar quadrotor among shapes that are known: escapes rolled out with all six states."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

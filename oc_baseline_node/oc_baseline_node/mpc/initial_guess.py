@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.sparse import csr_array

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import casadi
 import numpy as np
-from ctrl_rl_core.io.file_checks import one_line
+from ctrl_rl_core.io import one_line
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Region

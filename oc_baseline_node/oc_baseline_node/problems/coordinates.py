@@ -9,8 +9,8 @@ from math import inf, pi
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems.models import Dynamics
-from ctrl_rl_core.tasks.regions import ANGLES
+from ctrl_rl_core.systems import Dynamics
+from ctrl_rl_core.tasks import ANGLES
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import ArcPath, Interval, Quantity, Region, System

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.optimal_control import OptimalControlSpec
+from ctrl_rl_core.tasks import OptimalControlSpec
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import (

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
-from ctrl_rl_learning.study.command import (
+from ctrl_rl_learning.study import (
     SimulatedOptions,
     TaskPlotOptions,
     make_command,

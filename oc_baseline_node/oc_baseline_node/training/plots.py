@@ -18,13 +18,12 @@ from ctrl_rl_core.plots import (
     draw_paths,
     line_of,
     name_at_end,
-    picture,
     style_of,
 )
-from ctrl_rl_learning.study.figure_data import DrivenPath, Figures, ReturnCurve
+from ctrl_rl_learning.study import DrivenPath, Figures, ReturnCurve
 from pydantic import Field, model_validator
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, picture
 from oc_baseline_node.training.experiments.methods import GROUPS, METHODS
 
 _MAIN = ("oc_ppo", "oc_corrected", "ppo")

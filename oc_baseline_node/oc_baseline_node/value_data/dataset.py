@@ -13,11 +13,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.atomic_write import is_temporary
-from ctrl_rl_core.io.checked_arrays import encode_arrays, read_arrays
-from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_core.io.file_checks import FileError, raise_as
-from ctrl_rl_core.io.schema import Name, Number, Schema, Sha256
+from ctrl_rl_core.io import (
+    FileError,
+    Name,
+    Number,
+    Schema,
+    Sha256,
+    encode_arrays,
+    is_temporary,
+    raise_as,
+    read_arrays,
+    read_json,
+    with_digest,
+)
 from numpy.typing import NDArray
 from pydantic import Field
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
-from ctrl_rl_core.values.value_grid import Axis
+from ctrl_rl_core.values import Axis
 from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
+from ctrl_rl_core.processes import Tell, map_in_ray, require_ray
 from tqdm import tqdm
 
 from ctrl_rl_core import NavigationTask, Region, exclusive_lock, map_in_processes

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.io.schema import Number, Positive, Schema
-from ctrl_rl_core.tasks.regions import wrap
-from ctrl_rl_core.tasks.rewards import tilt_reward
+from ctrl_rl_core.io import Number, Positive, Schema
+from ctrl_rl_core.tasks import tilt_reward, wrap
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 

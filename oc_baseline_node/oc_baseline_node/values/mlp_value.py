@@ -13,9 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import encode_tensors
-from ctrl_rl_core.values.value_function import batches
-from ctrl_rl_core.values.value_grid import Axis
+from ctrl_rl_core.io import encode_tensors
+from ctrl_rl_core.values import Axis, batches
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import ValueGrid

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import ANGLES, wrap
-from ctrl_rl_core.tasks.rewards import tilt_reward
+from ctrl_rl_core.tasks import ANGLES, tilt_reward, wrap
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, TaskSets, terminal_reward

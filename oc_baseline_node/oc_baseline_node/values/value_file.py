@@ -8,10 +8,20 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import Tensors, kind_of, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path
-from ctrl_rl_core.io.schema import Name, Number, Positive, Schema, Sha256
-from ctrl_rl_core.values.grid_file import AxisHeader
+from ctrl_rl_core.io import (
+    FileError,
+    Name,
+    Number,
+    Positive,
+    Schema,
+    Sha256,
+    Tensors,
+    kind_of,
+    raise_as,
+    read_tensors,
+    short_path,
+)
+from ctrl_rl_core.values import AxisHeader
 from pydantic import ConfigDict, Field, model_validator
 
 from ctrl_rl_core import ValueFunction, ValueGrid, atomic_write

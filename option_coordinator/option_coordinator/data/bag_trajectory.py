@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_bags.format.checks import fields_of
+from ctrl_rl_bags.format import fields_of
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from ctrl_rl_bags.recording.message_types import message_definition, typestore
+from ctrl_rl_bags.recording import typestore
 from numpy.typing import NDArray
 
-from ctrl_rl_bags import BagWriter, Topic
+from ctrl_rl_bags import BagWriter, Topic, message_definition
 from option_coordinator.data.bag_trajectory import TYPE
 from option_coordinator.options.options import Decision
 

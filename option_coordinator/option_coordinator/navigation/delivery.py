@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import ScanGeometry, echoes
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.sensing import echoes
+from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry
 from option_coordinator.protocol.option_client import AgentObservation, OptionResult
 from option_coordinator.teams.team_file import TeamFile, Work
 

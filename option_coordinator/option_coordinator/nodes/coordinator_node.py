@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import Status, ok, warn
+from ctrl_rl_core.ros import Status, ok, warn
 from rclpy.duration import Duration
 
 from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node

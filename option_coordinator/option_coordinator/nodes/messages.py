@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import float32_array, seconds, to_stamp
+from ctrl_rl_core.ros import float32_array, seconds, to_stamp
 from rclpy._rclpy_pybind11 import RCLError, RMWError
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message

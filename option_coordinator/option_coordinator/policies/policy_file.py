@@ -14,9 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
-from ctrl_rl_core.io.schema import Anything, Name, Schema
+from ctrl_rl_core.io import Anything, Name, Schema, encode_tensors, one_line, raise_as, read_tensors, short_path
 from pydantic import Field
 
 from ctrl_rl_core import atomic_write

@@ -1,1 +1,5 @@
 """The protocol between robots and coordinators. Pure logic: no ROS, and no clock."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -13,10 +13,9 @@ from itertools import combinations
 from pathlib import Path as FilePath
 from typing import Annotated, Literal
 
-from ctrl_rl_core.geometry.units import Point, PositiveTime, TimeStep
-from ctrl_rl_core.io.checked_yaml import read_yaml
-from ctrl_rl_core.io.file_checks import FileError, raise_as, short_path, short_repr
-from ctrl_rl_core.tasks.schema.parts import Part, Reward, Samples, TaskHeader
+from ctrl_rl_core.geometry import Point, PositiveTime, TimeStep
+from ctrl_rl_core.io import FileError, raise_as, read_yaml, short_path, short_repr
+from ctrl_rl_core.tasks import Part, Reward, Samples, TaskHeader
 from pydantic import Field, PrivateAttr, Strict, model_validator
 
 from ctrl_rl_core import CtrlRlError, NavigationTask, load_navigation_task, task_names

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from ctrl_rl_core.io.schema import Name
+from ctrl_rl_core.io import Name
 from ctrl_rl_core.plots import MOST_LINES, Panel, best_of, draw_learning, line_of
-from ctrl_rl_learning.study.figure_data import Figures, ValueCurve
+from ctrl_rl_learning.study import Figures, ValueCurve
 from pydantic import Field
 
 from option_coordinator.training.experiments.methods import METHODS

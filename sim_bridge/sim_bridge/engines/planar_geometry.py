@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 
 X, Y, COS, SIN, HALF_X, HALF_Y, RADIUS, SEEN = range(8)
 COLUMNS = 8

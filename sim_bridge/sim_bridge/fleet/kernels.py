@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 
 from sim_bridge.engines.planar_geometry import COS, HALF_X, HALF_Y, RADIUS, SEEN, SIN, X, Y, cast, nearest, place
 from sim_bridge.engines.planar_geometry import wheel_speeds as bring_to_speed

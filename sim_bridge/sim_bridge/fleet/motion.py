@@ -6,8 +6,7 @@ import math
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import ANGLES
-from ctrl_rl_core.tasks.schema.robot import MODEL
+from ctrl_rl_core.tasks import ANGLES, MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Robot, System

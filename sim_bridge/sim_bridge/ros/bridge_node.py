@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from ctrl_rl_core.ros.node import Status, ok, to_stamp, warn
+from ctrl_rl_core.ros import Status, ok, to_stamp, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool

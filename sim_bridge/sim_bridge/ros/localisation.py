@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.ros.node import LATCHED, to_stamp
+from ctrl_rl_core.ros import LATCHED, to_stamp
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rclpy.node import Node
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ctrl_rl_core.ros.node import LATCHED, to_stamp
+from ctrl_rl_core.ros import LATCHED, to_stamp
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray

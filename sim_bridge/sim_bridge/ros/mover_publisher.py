@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ctrl_rl_core.ros.node import ODOM_PUBLISHER, to_stamp
+from ctrl_rl_core.ros import ODOM_PUBLISHER, to_stamp
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
+from ctrl_rl_core.ros import LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node

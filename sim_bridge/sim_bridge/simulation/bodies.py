@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.robot import MODEL
+from ctrl_rl_core.tasks import MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Robot, System

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.tasks.mover_draws import MoverPlan
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import Disc, NavigationTask, System, World, draw_movers, draw_starts
+from ctrl_rl_core import Disc, MoverPlan, NavigationTask, System, World, draw_movers, draw_starts
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.options import SimulationOptions
 from sim_bridge.simulation.random_streams import Purpose, stream

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.parts import RewardSpec
-from ctrl_rl_core.tasks.task_sets import PATH_NAMES, PathCoordinates
+from ctrl_rl_core.tasks import PATH_NAMES, PathCoordinates, RewardSpec
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ArcPath, NavigationTask, Outcome, System, terminal_reward

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import ScanGeometry
-from ctrl_rl_core.tasks.schema.robot import LidarSpec
+from ctrl_rl_core.tasks import LidarSpec
 from numpy.typing import NDArray
 
+from ctrl_rl_core import ScanGeometry
 from sim_bridge.engines.engine import Engine
 
 LOST_BEAM = {"nan": np.nan, "inf": np.inf, "zero": 0.0}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.policies.task_interface import state_ranges
+from ctrl_rl_core.policies import state_ranges
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
+from ctrl_rl_core.navigation import FREE, OCCUPIED
 
 from ctrl_rl_core import NavigationTask, OccupancyMap, World
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Interval
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import Interval, NavigationTask
 from sim_bridge.errors import SimulationError
 
 

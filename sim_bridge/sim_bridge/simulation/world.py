@@ -14,12 +14,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from ctrl_rl_core.sensing.odometry import make_odometry
-from ctrl_rl_core.sensing.pose import planar
-from ctrl_rl_core.tasks.schema.robot import MODEL
+from ctrl_rl_core.sensing import planar
+from ctrl_rl_core.tasks import MODEL
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, Sensors, System
+from ctrl_rl_core import NavigationTask, Outcome, Sensors, System, make_odometry
 from sim_bridge.engines.choice import make_engine
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel

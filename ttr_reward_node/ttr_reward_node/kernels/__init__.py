@@ -1,1 +1,5 @@
 """Compiled kernels that sweep over a grid."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -22,7 +22,7 @@ from ctrl_rl_learning.offline.evaluation.fitted_q import PolicyValues, actions_o
 from ctrl_rl_learning.offline.evaluation.roll_outs import can_model, model_returns, replay_correlation
 from ctrl_rl_learning.offline.learners.learning import learn
 from ctrl_rl_learning.offline.learners.settings import LearningSettings
-from ctrl_rl_learning.study.estimate import Estimate, estimate
+from ctrl_rl_learning.study.estimates import Estimate, estimate
 
 Array = NDArray[np.float64]
 _LEAST_EPISODES = 10

@@ -19,10 +19,10 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, make_command
-from ctrl_rl_core.io.results import Result, ResultsError, as_lines, write_results
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task
+from ctrl_rl_core.io import as_lines
 from tqdm import tqdm
 
+from ctrl_rl_core import NavigationTask, Result, ResultsError, load_navigation_task, write_results
 from oc_baseline_node.errors import OcError
 
 _RESULTS = Path("docs/results")
@@ -165,7 +165,7 @@ def _mpc(options: MpcDrives) -> int:
 
 
 def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
-    from ctrl_rl_learning.study.results import read_figures
+    from ctrl_rl_learning.study import read_figures
 
     from oc_baseline_node.training.plots import Learnt  # matplotlib is not for robots
 

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from ctrl_rl_learning.sb3.algorithms import ROLL_OUT
-from ctrl_rl_learning.sb3.training import Recorder
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.sb3 import ROLL_OUT, Recorder
+from ctrl_rl_learning.torch import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv

@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems.system import System
-from ctrl_rl_core.tasks.task import NavigationTask
 from numpy.typing import NDArray
-from sim_bridge.environments import NavigationEnv
 
-from ctrl_rl_core import Episode, Step, drive
+from ctrl_rl_core import Episode, NavigationTask, Step, System, drive
 from oc_baseline_node.mpc.mpc import Mpc
 from oc_baseline_node.mpc.receding_horizon import RecedingHorizon
 from oc_baseline_node.problems.problem import formulate
+from sim_bridge import NavigationEnv
 
 Array = NDArray[np.float64]
 STEPS = (1, 5, 10)

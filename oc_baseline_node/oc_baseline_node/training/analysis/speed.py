@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ctrl_rl_core.io.results import Result
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, Result
 from oc_baseline_node.errors import OcError
 from oc_baseline_node.mpc.initial_guess import shift_trajectory
 from oc_baseline_node.mpc.mpc import Mpc

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_learning.sb3.algorithms import NormalizedTanh
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.sb3 import NormalizedTanh
+from ctrl_rl_learning.torch import gradient_step
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.utils import polyak_update

@@ -19,8 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
-from ctrl_rl_learning.sb3.environment import observation_scales
+from ctrl_rl_learning.sb3 import REWARD_SCALE, observation_scales
 from numpy.typing import NDArray
 from sb3_contrib import TRPO
 from stable_baselines3.common.buffers import RolloutBuffer

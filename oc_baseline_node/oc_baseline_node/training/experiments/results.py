@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_learning.study.results import (
-    as_table,
-    collect_rows,
-    curves_of,
-    finished_runs,
-    metric,
-    metrics_of_speed,
-)
+from ctrl_rl_learning.study import as_table, collect_rows, curves_of, finished_runs, metric, metrics_of_speed
 
 from ctrl_rl_core import Result
 from oc_baseline_node.training.experiments.methods import METHODS

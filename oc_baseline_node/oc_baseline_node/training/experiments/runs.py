@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-from ctrl_rl_core.values.value_function import check_function
-from ctrl_rl_learning.sb3.algorithms import make_algorithm
-from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment
-from ctrl_rl_learning.sb3.fleet import fits_fleet
-from ctrl_rl_learning.sb3.training import SimulatedRun
-from ctrl_rl_learning.study.run import find_method
+from ctrl_rl_core.values import check_function
+from ctrl_rl_learning.sb3 import Environment, SimulatedRun, Vector, fits_fleet, make_algorithm, make_environment
+from ctrl_rl_learning.study import find_method
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.geometry.units import Point
+from ctrl_rl_core.geometry import Point
 
 from ctrl_rl_core import ToolDelivery
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 from ctrl_rl_core.command import FolderToWrite
-from ctrl_rl_learning.cli.evaluate import EvaluateOptions, report
-from ctrl_rl_learning.study.command import (
+from ctrl_rl_learning.cli import EvaluateOptions, report
+from ctrl_rl_learning.study import (
     ExperimentOptions,
     PlotOptions,
     Positive,
@@ -78,7 +78,7 @@ def _train(options: Train) -> int:
         )
     if not 0.0 <= options.drop <= 1.0:
         raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
-    from ctrl_rl_learning.study.run import RunOptions
+    from ctrl_rl_learning.study import RunOptions
 
     from option_coordinator.training.experiments.results import collect, table
     from option_coordinator.training.experiments.runs import option_runs
@@ -96,8 +96,7 @@ def _train(options: Train) -> int:
 
 
 def _train_on_bags(options: Train) -> int:
-    from ctrl_rl_learning.study.matrix import run_experiments
-    from ctrl_rl_learning.study.run import RunOptions
+    from ctrl_rl_learning.study import RunOptions, run_experiments
 
     from option_coordinator.training.experiments.bag_runs import ROUNDS, BagRun
 
@@ -126,7 +125,7 @@ def _evaluate(options: EvaluateOptions) -> int:
 
 
 def _figures(options: PlotOptions) -> int:
-    from ctrl_rl_learning.study.results import read_figures
+    from ctrl_rl_learning.study import read_figures
 
     from option_coordinator.training.plots import Learning, draw_curves  # matplotlib is not for robots
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite, Positive, make_command
-from ctrl_rl_core.io.results import as_lines
+from ctrl_rl_core.io import as_lines
 
 from ctrl_rl_core import CommandError, Result, write_results
 from option_coordinator.environments.tasks import load_option_task

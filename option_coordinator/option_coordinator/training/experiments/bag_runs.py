@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
+from ctrl_rl_learning.study import Point, Run, RunOptions, Tell
 
 from option_coordinator.data.bag_trajectory import Recording, TeamLayout, recordings
 from option_coordinator.data.trajectory import OptionTrajectory

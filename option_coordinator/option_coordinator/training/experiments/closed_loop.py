@@ -14,9 +14,8 @@ from shutil import rmtree
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.trainer import train
+from ctrl_rl_core.io import read_json, with_digest
+from ctrl_rl_learning.study import RunOptions, train
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write

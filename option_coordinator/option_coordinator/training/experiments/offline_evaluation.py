@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from ctrl_rl_learning.study.estimate import Estimate, estimate
-from ctrl_rl_learning.torch.optimization import gradient_step, polyak_update
+from ctrl_rl_learning.study import Estimate, estimate
+from ctrl_rl_learning.torch import gradient_step, polyak_update
 from numpy.typing import NDArray
 from torch import Tensor
 

@@ -9,15 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_learning.study.results import (
-    Metric,
-    as_table,
-    collect_rows,
-    curves_of,
-    finished_runs,
-    metric,
-    metrics_of_speed,
-)
+from ctrl_rl_learning.study import Metric, as_table, collect_rows, curves_of, finished_runs, metric, metrics_of_speed
 
 from ctrl_rl_core import Result
 from option_coordinator.environments.roll_out import play_episodes

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell, find_method
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
-from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
+from ctrl_rl_learning.study import Point, Run, RunOptions, Tell, find_method
+from ctrl_rl_learning.torch import load_arrays, restore_state, save_arrays, state_arrays
 
 from ctrl_rl_core import task_digest
 from option_coordinator.environments.option_env import OptionEnvironment

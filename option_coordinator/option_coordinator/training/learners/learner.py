@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.learner_state import Arrays
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch import Arrays, gradient_step
 from numpy.typing import NDArray
 from torch import Tensor, nn
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.learner_state import Arrays
-from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
+from ctrl_rl_learning.torch import Arrays, ReplayBuffer
 from numpy.typing import NDArray
 from torch import Tensor, nn
 

@@ -1,0 +1,1 @@
+from .checks import fields_of as fields_of

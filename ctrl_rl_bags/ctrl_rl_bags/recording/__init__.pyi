@@ -1,0 +1,2 @@
+from .message_types import message_class as message_class
+from .message_types import typestore as typestore

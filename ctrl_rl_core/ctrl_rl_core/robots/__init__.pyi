@@ -1,0 +1,1 @@
+from .robot import DEFAULT_ROBOT as DEFAULT_ROBOT

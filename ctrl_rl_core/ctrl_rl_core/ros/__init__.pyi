@@ -1,0 +1,14 @@
+from .node import LATCHED as LATCHED
+from .node import ODOM_PUBLISHER as ODOM_PUBLISHER
+from .node import SCAN_PUBLISHER as SCAN_PUBLISHER
+from .node import Status as Status
+from .node import float32_array as float32_array
+from .node import nanoseconds as nanoseconds
+from .node import ok as ok
+from .node import seconds as seconds
+from .node import to_stamp as to_stamp
+from .node import warn as warn
+from .parameters import of_robot as of_robot
+from .running import initialise as initialise
+from .value_messages import answer as answer
+from .value_server import Valued as Valued

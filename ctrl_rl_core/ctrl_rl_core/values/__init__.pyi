@@ -1,0 +1,10 @@
+from .grid_file import AxisHeader as AxisHeader
+from .interpolation import gradient_at as gradient_at
+from .interpolation import value_at as value_at
+from .interpolation import values_at as values_at
+from .jit_cache import cached_njit as cached_njit
+from .plane import plane_of as plane_of
+from .value_function import ROWS as ROWS
+from .value_function import batches as batches
+from .value_function import check_function as check_function
+from .value_grid import Axis as Axis

@@ -1,0 +1,2 @@
+from .evaluate import EvaluateOptions as EvaluateOptions
+from .evaluate import report as report

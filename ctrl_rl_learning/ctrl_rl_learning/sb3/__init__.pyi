@@ -1,0 +1,11 @@
+from .algorithms import REWARD_SCALE as REWARD_SCALE
+from .algorithms import ROLL_OUT as ROLL_OUT
+from .algorithms import NormalizedTanh as NormalizedTanh
+from .algorithms import make_algorithm as make_algorithm
+from .environment import Environment as Environment
+from .environment import Vector as Vector
+from .environment import make_environment as make_environment
+from .environment import observation_scales as observation_scales
+from .fleet import fits_fleet as fits_fleet
+from .training import Recorder as Recorder
+from .training import SimulatedRun as SimulatedRun

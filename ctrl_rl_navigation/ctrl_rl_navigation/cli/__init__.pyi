@@ -1,0 +1,1 @@
+from .simulation import task_content as task_content

@@ -1,0 +1,1 @@
+from .fast_marching import march as march

@@ -1,0 +1,1 @@
+from .warming import warm_up as warm_up

@@ -1,0 +1,1 @@
+from .option_env import Span as Span

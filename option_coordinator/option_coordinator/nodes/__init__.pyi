@@ -1,0 +1,1 @@
+from .messages import EXCHANGE as EXCHANGE

@@ -1,0 +1,1 @@
+from .protocol_types import GrantStatus as GrantStatus

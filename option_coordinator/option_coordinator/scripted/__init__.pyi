@@ -1,0 +1,1 @@
+from .policy_queries import SCRIPTED as SCRIPTED

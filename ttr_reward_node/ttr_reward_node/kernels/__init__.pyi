@@ -1,0 +1,1 @@
+from .entry_points import kernels as kernels
