@@ -1,6 +1,7 @@
 """The importer reads BARN's and DynaBARN's formats, and refuses everything else in one line."""
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,21 @@ def test_key_frames_are_read_from_the_code(tmp_path: Path) -> None:
 def test_motions_that_make_no_sense_are_refused(tmp_path: Path, frames: tuple, words: str) -> None:
     with pytest.raises(TrialError, match=words):
         read_keyframes(written(tmp_path, plugin(frames)))
+
+
+def test_a_plugin_with_endless_names_or_tables_is_refused_soon(tmp_path: Path) -> None:
+    """480 kB took 110 s: each of 4,166 symbols was looked up in a name of 280 kB."""
+    content = bytearray(b"w" * 480_000)
+    content[:6], content[18:20] = b"\x7fELF\x02\x01", struct.pack("<H", 62)
+    content[40:48], content[200_000:200_010] = struct.pack("<Q", 64), b"_ZN6gazebo"
+    for place in range(70_000, 170_000, 24):
+        content[place : place + 24] = struct.pack("<IBBHQQ", 130_000, 0, 0, 0, 0, 5)
+    section = struct.pack("<IIQQQQIIQQ", 0, 11, 0, 0, 70_000, 99_984, 0, 0, 0, 0)
+    content[64 : 64 + 3 * 64] = 3 * section
+    for size, count, words in ((64, 3, "no function Load"), (1, 60_000, "a table of sections")):
+        content[58:62] = struct.pack("<HH", size, count)
+        with pytest.raises(TrialError, match=words):
+            read_keyframes(written(tmp_path, bytes(content)))
 
 
 @given(st.integers(0, len(plugin(FRAMES)) - 1), st.binary(min_size=1, max_size=8))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, BinaryIO, Literal
+from warnings import catch_warnings
 
 import numpy as np
 import yaml
@@ -22,7 +24,7 @@ from ctrl_rl_core.io.schema import Number, Schema
 _LARGEST_IMAGE = 200_000_000
 """Size of an image file, at most [bytes]."""
 _FORMATS = ("PPM", "PNG", "BMP")
-_OPAQUE = 255
+_OPAQUE = _LARGEST_BYTE = 255
 _DARK, _LIGHT, _GREY = 0, 254, 205
 """Shades of occupied, free and unknown cells, as map_saver writes them."""
 _FREE_OF_SAVER = 0.196
@@ -106,6 +108,9 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
                 columns, rows = image.size
                 if not 0 < rows * columns <= most:
                     raise FileError(f"has {columns} x {rows} pixels: at most {most:,} are read")
+                decoder, _, begin, terms = image.tile[0]
+                if decoder in ("ppm", "ppm_plain") and isinstance(terms, tuple):
+                    return _netpbm(file, begin, (rows, columns, len(image.getbands())), int(terms[-1]), decoder), None
                 if image.mode.startswith("I"):  # 16 bits
                     return np.asarray(image, np.float32) / 65535.0, None
                 if image.mode in ("1", "L"):
@@ -119,6 +124,28 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
             raise FileError(f"is no image that can be read ({type(error).__name__}): PGM, PNG or BMP") from None
     channels = pixels if transparent and with_alpha else pixels[..., :3]
     return channels.mean(axis=-1, dtype=np.float32) / 255.0, pixels[..., 3] == _OPAQUE if transparent else None
+
+
+def _netpbm(file: BinaryIO, begin: int, shape: tuple[int, int, int], largest: int, decoder: str) -> NDArray[np.float32]:
+    """Return the shades of a PGM or PPM of plain text or of an unusual range, which Pillow reads number by number.
+
+    Args:
+        file: The image.
+        begin: Place of the first pixel.
+        shape: Rows, columns and colours.
+        largest: Number of a white pixel.
+        decoder: Pillow's name of the encoding.
+    """
+    file.seek(begin)
+    content, count = file.read(), shape[0] * shape[1] * shape[2]
+    if decoder == "ppm_plain":
+        with catch_warnings(action="error"):  # of what is no number
+            numbers = np.fromstring(re.sub(rb"#[^\r\n]*", b"", content), np.int64, count, sep=" ")
+    else:
+        numbers = np.frombuffer(content, ">u2" if largest > _LARGEST_BYTE else "u1", count)
+    if len(numbers) < count or (numbers < 0).any():
+        raise FileError("ends before its last pixel, or has a pixel below 0")
+    return np.minimum(numbers / np.float32(largest), 1.0).reshape(shape).mean(axis=-1, dtype=np.float32)
 
 
 def _percent(header: _Header, occupancy: NDArray[np.float32], opaque: NDArray[np.bool_] | None) -> NDArray[np.int8]:

@@ -28,7 +28,9 @@ _ELF = b"\x7fELF\x02\x01"  # 64 bit, little-endian
 _X86_64 = 62
 _DYNAMIC_SYMBOLS = 11
 _SECTION, _SYMBOL = struct.Struct("<IIQQQQIIQQ"), struct.Struct("<IBBHQQ")
-_LOAD = re.compile(rb"_ZN6gazebo\w+4LoadEN5boost10shared_ptr\w*")
+_LOAD = re.compile(rb"_ZN6gazebo\w{1,200}4LoadEN5boost10shared_ptr")
+_MOST_SECTIONS, _MOST_SYMBOLS = 1000, 20_000
+"""Entries that are looked at; DynaBARN's plugins have some 40 and 400."""
 _INSTRUCTIONS = re.compile(
     rb"(?P<z>\x66\x0f\xef\xc0)"  # pxor xmm0, xmm0: a zero
     rb"|(?P<c>\xf2\x0f\x10\x05.{4})"  # movsd xmm0, [rip + ....]: a number
@@ -74,18 +76,20 @@ def _load_function(content: bytes) -> tuple[int, int]:
     if content[:6] != _ELF or struct.unpack_from("<H", content, 18)[0] != _X86_64:
         raise FileError("is no shared library for x86-64: DynaBARN's plugins are")
     (table,), (size, count) = struct.unpack_from("<Q", content, 40), struct.unpack_from("<HH", content, 58)
+    if size != _SECTION.size or count > _MOST_SECTIONS:
+        raise FileError("has a table of sections that no plugin of DynaBARN has")
     sections = [_SECTION.unpack_from(content, table + index * size) for index in range(count)]
-    for section in sections:
-        if section[1] != _DYNAMIC_SYMBOLS:
-            continue
-        names = sections[section[6]][4]
-        for place in range(section[4], section[4] + section[5], _SYMBOL.size):
-            name, _, _, home, value, length = _SYMBOL.unpack_from(content, place)
-            if length and _LOAD.match(content, names + name):
-                offset = value - sections[home][3] + sections[home][4]
-                if value != offset or offset + length > len(content):
-                    raise FileError("has its code elsewhere than a plugin of DynaBARN")
-                return offset, offset + length
+    symbols = next((section for section in sections if section[1] == _DYNAMIC_SYMBOLS), None)
+    if symbols is None or symbols[5] > _MOST_SYMBOLS * _SYMBOL.size:
+        raise FileError("has no table of symbols, or a longer one than a plugin of DynaBARN")
+    names = sections[symbols[6]][4]
+    for place in range(symbols[4], symbols[4] + symbols[5], _SYMBOL.size):
+        name, _, _, home, value, length = _SYMBOL.unpack_from(content, place)
+        if length and _LOAD.match(content, names + name):
+            offset = value - sections[home][3] + sections[home][4]
+            if value != offset or offset + length > len(content):
+                raise FileError("has its code elsewhere than a plugin of DynaBARN")
+            return offset, offset + length
     raise FileError("has no function Load() of a Gazebo plugin")
 
 
