@@ -203,6 +203,6 @@ def test_the_range_and_encoding_of_a_pgm_change_nothing(tmp_path: Path, largest:
     )
     found = OccupancyMap.load(file)
     assert found.cells[::-1].tolist() == [[100, 0, 0], [-1, 0, 100]]
-    image.write_bytes(image.read_bytes()[:-2])
+    image.write_bytes(image.read_bytes()[:-6])
     with pytest.raises(MapError, match=str(image)):
         OccupancyMap.load(file)

@@ -140,7 +140,7 @@ def _netpbm(file: BinaryIO, begin: int, shape: tuple[int, int, int], largest: in
     content, count = file.read(), shape[0] * shape[1] * shape[2]
     if decoder == "ppm_plain":
         with catch_warnings(action="error"):  # of what is no number
-            numbers = np.fromstring(re.sub(rb"#[^\r\n]*", b"", content), np.int64, count, sep=" ")
+            numbers = np.fromstring(re.sub(rb"#[^\r\n]*", b"", content), np.int64, sep=" ")[:count]
     else:
         numbers = np.frombuffer(content, ">u2" if largest > _LARGEST_BYTE else "u1", count)
     if len(numbers) < count or (numbers < 0).any():
