@@ -44,6 +44,7 @@ class Rule:
         jump, enough, quiet, curved: As in `kernels.sweep.SweepSettings`, the times multiplied by the rate.
         first: 1 in the first phase, in which unreachable corners count as w = 0, else 0.
         near: 1 for a pass over the near nodes alone, 0 for one over the others.
+        full: 1 if all pairs are tried, 0 for the one that was best in the last full pass.
         controls: Number of controls, the faster index of the pairs.
         inner: Number of nodes in a slab.
         number: Number of the pass, from 1; slabs whose indices have an even or odd sum take turns.
@@ -56,6 +57,7 @@ class Rule:
     curved: int
     first: int
     near: int
+    full: int
     controls: int
     inner: int
     number: int

@@ -61,6 +61,7 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
         table: Table,
         shape: Shape,
         rule: Rule,
+        choices: wp.array[wp.uint16],
         active: wp.array[wp.uint8],
         changed: wp.array[int],
         changes: wp.array[float],
@@ -86,8 +87,13 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
                 return
         worst = float(1.0)
         best = float(0.0)
-        pairs = table.codes.shape[1]
-        for p in range(pairs):
+        choice = int(0)
+        first = int(0)
+        until = int(table.codes.shape[1])
+        if rule.full == 0:
+            first = int(choices[node])
+            until = first + 1
+        for p in range(first, until):
             code = int(table.codes[slab, p])
             outcome = float(0.0)
             if rule.near == 1:
@@ -102,16 +108,20 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
                         seen = look(values, at, shape, node, rule, table.is_long[p] == wp.uint8(1), past)
                         discount = table.discounts[code]
                         found = seen[0] * discount * (1.0 - seen[1]) / (1.0 - discount * seen[1])
-                best = wp.max(best, found)
-            if (p + 1) % rule.controls == 0:
+                if found > best:
+                    best = found
+                    choice = p
+            if (p + 1) % rule.controls == 0 or rule.full == 0:
                 worst = wp.min(worst, best)
                 best = 0.0
+        if rule.full == 1:
+            choices[node] = wp.uint16(choice)
         new = worst
         if new < _TINY:
             new = 0.0
-        elif (rule.curved == 1 or rule.first == 1) and new < old:
-            return
-        if new == old:
+        # With one pair alone, or where the scheme is monotone or curved, w does not fall; except, by all pairs, to 0.
+        only_grows = rule.full == 0 or rule.curved == 1 or rule.first == 1
+        if new == old or (new < old and only_grows and (new > 0.0 or rule.full == 0)):
             return
         news[node] = new
         change = _change(old, new, rule.first)
@@ -182,6 +192,7 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
                 fresh = looks_at_news(place(table, shape, index, slab, p), shape, changed, rule, last)
         if fresh:
             active[slab] = wp.uint8(1)
-            seen[slab] = rule.number
+            if rule.full == 1:
+                seen[slab] = rule.number
 
     return SweepKernels(Shape, sweep, awaken)

@@ -18,7 +18,10 @@ from ttr_reward_node.solvers.sweeper import Sweeper, make_sweeper
 
 CPU = "cpu"
 """The default device: compiled by Numba, and the reference for all others."""
-_ON_GPU = 13.0, 8.0  # bytes a node: two buffers, flags, and a part for the near nodes; of a step besides its moves
+_ON_GPU = (
+    15.0,
+    8.0,
+)  # bytes a node: two buffers, choices, flags, and a part for the near nodes; of a step besides its moves
 
 MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, StepTable, Grid, float], Sweeper]
 
