@@ -18,7 +18,7 @@ from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import move_for
 from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
-from ttr_reward_node.solvers.threads import share
+from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
 _BEYOND = 1.05  # cells beyond the reach of a step that may matter to it: it goes on in the cell in which it ends
@@ -82,7 +82,8 @@ def find_near_nodes(
     for begin in range(0, len(candidates), max(1, block // pairs)):
         nodes = candidates[begin : begin + max(1, block // pairs)]
         slabs, local = np.unique(nodes // inner, return_inverse=True)
-        paths = _paths(problem, layout, steps, slabs, plane, spacings)
+        parts = np.array_split(slabs, math.ceil(len(slabs) * pairs / _BLOCK))
+        paths = _joined(for_each(lambda some: _paths(problem, layout, steps, some, plane, spacings), parts))
         outcomes = np.empty((len(nodes), pairs), np.float32)
         follow(nodes, local, paths, grid, table.long, boundary, rate, outcomes)
         matters = (outcomes != INTERPOLATE).any(axis=1)
@@ -92,6 +93,11 @@ def find_near_nodes(
     last = int(grid["counts"][grid["n"] - 1])
     per_row = np.count_nonzero((flags == NEAR).reshape(-1, last), axis=1)
     return NearNodes(values, flags, outcomes, np.concatenate(([0], np.cumsum(per_row))))
+
+
+def _joined(parts: list[Paths]) -> Paths:
+    """Return the ways of all slabs from those of some of them."""
+    return parts[0] if len(parts) == 1 else Paths(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def _follow(*given: Any) -> None:

@@ -23,6 +23,7 @@ from ttr_reward_node.kernels.stencil import PER_CELL
 from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import HeldPairs, Motion, Room, move_cells
+from ttr_reward_node.solvers.threads import for_each
 
 _BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the cache
 _SOME = 4096  # nodes whose rates tell which controls are worth trying
@@ -212,7 +213,8 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
     ends = np.empty((*shape, len(layout.order)), np.int16)
     ranges = np.empty((*shape, len(layout.inner), 2), np.int8)
     reach = np.zeros((layout.slabs, len(layout.order), 2), np.int16)
-    for block in _blocks(layout.slabs, len(held.u)):
+
+    def tabulate(block: slice) -> None:
         x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
         room = _room(problem, layout, x)
         for i, length in enumerate(cells):
@@ -227,6 +229,8 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
                 along = motion.along(layout.inner).path(PARTS)
                 ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
                 ranges[block, :, i, ..., 1] = np.ceil(np.maximum(along.max(axis=-2), 0.0) - _GRAZE).reshape(*per, -1)
+
+    for_each(tabulate, _blocks(layout.slabs, len(held.u)))
     n_pairs = math.prod(shape[1:])
     codes, book = _numbered(durations.reshape(layout.slabs, n_pairs))
     u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)

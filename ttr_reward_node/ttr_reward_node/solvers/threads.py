@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+_MOST_THREADS = 8  # more of them wait for the interpreter's lock between NumPy's calls
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -18,3 +21,12 @@ def share(work: Callable[[int, int], Result], parts: int) -> list[Result]:
         return [work(0, 1)]
     with ThreadPoolExecutor(parts) as pool:
         return list(pool.map(lambda part: work(part, parts), range(parts)))
+
+
+def for_each(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return the results of `work(item)` for each item, in their order, computed on as many cores as there are."""
+    threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS)
+    if threads == 1:
+        return [work(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, items))
