@@ -57,7 +57,7 @@ class Info:
     folder: _Folder
     """Folder of the bag, or one .mcap file."""
     limits: _MaxChunk = DEFAULT_LIMITS
-    """Largest chunk or message that is read [MB]."""
+    """Maximum chunk or message that is read [MB]."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Recover:
     output: Annotated[str | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recovered bag; FOLDER_recovered where none is given."""
     limits: _MaxChunk = DEFAULT_LIMITS
-    """Largest chunk or message that is read [MB]."""
+    """Maximum chunk or message that is read [MB]."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Play:
     wait_for_subscribers: float = 1.0
     """Longest time to wait for a subscriber on every topic [s]."""
     limits: _MaxChunk = DEFAULT_LIMITS
-    """Largest chunk or message that is read [MB]."""
+    """Maximum chunk or message that is read [MB]."""
 
 
 _Command = (

@@ -31,7 +31,7 @@ ARGUMENTS = {
     "max_distance": ("0.0", "distance after which the controller stands [m]; 0.0 for any"),
     "map": ("", "map of the navigator: map_server's .yaml file; empty for the topic map"),
     "pose": ("tf", "where the pose on the map comes from: tf (map -> base) or amcl_pose"),
-    "mover_speed": ("0.0", "largest speed of people and other robots around, for the filter [m/s]"),
+    "mover_speed": ("0.0", "maximum speed of people and other robots around, for the filter [m/s]"),
     "use_map": ("false", "whether the topic map tells the filter what never moves"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
 }

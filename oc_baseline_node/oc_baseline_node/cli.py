@@ -38,7 +38,7 @@ from oc_baseline_node.value_data.dataset import DataSettings, load_data, read_de
 from oc_baseline_node.value_data.report import remarks, report, start_set, value_rows
 from oc_baseline_node.values.value_file import find_value, load_value, save_value
 
-_SUMMARY = "Take a task to its optimal control values: extract the problem, make value data, fit V_oc, draw it."
+_SUMMARY = "From a task to its optimal control values: extract the problem, make value data, fit V_oc, draw it."
 
 
 def _state(text: str) -> NDArray[np.float64]:
@@ -74,7 +74,7 @@ _Settings = Annotated[tuple[tuple[str, float], ...], checked_list(_setting, "NAM
 
 @dataclass(frozen=True)
 class Extract:
-    """Show the optimal control problem that follows from a task, and the models that do not suit it."""
+    """Show the optimal control problem of a task, and the models that do not suit it."""
 
     task: _Task
     """Name of a task of the suite (car_navigation, curved_corridor ...), or its file."""
@@ -82,37 +82,37 @@ class Extract:
     """free_speed: speed is a control; free_time: constant speed, free time step; letter: Eq. 3.16 as printed, with
     constant speed and fixed horizon, infeasible from most starts."""
     clearance: _Clearance = None
-    """Least distance d_min from obstacles [m]; the task's, but more than the body's radius, where none is given."""
+    """Minimum distance d_min from obstacles [m] (default: the task's, but more than the body's radius)."""
 
 
 @dataclass(frozen=True)
 class Solve(Extract):
-    """Solve one trajectory; exit code 1 and the solver's reason where there is none."""
+    """Solve one trajectory; exit with 1 and the solver's reason if there is none."""
 
     start: Annotated[NDArray[np.float64] | None, checked(_state, "X,Y,...")] = None
-    """Start state x_0, such as 0,-3.5,1.57; a random one where none is given."""
+    """Start state x_0, such as 0,-3.5,1.57 (default: random)."""
     seed: NotNegative = 0
     """Seed of the random start."""
     solver: Literal["ipopt", "fatrop"] | None = None
-    """The only solver to ask; fatrop, then ipopt where none is given."""
+    """The only solver to try (default: fatrop, then ipopt)."""
     output: Path | None = None
-    """Picture to write; none is drawn where it is left out."""
+    """Picture to write (default: none)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Data(Extract):
-    """Solve many trajectories from random starts; a call that was stopped goes on where it ended."""
+    """Solve many trajectories from random starts; after an interruption, call it again to continue."""
 
     output: Path
-    """Folder of the data, one file for each chunk of trajectories."""
+    """Folder of the data, with one file per chunk of trajectories."""
     trajectories: Positive | None = None
-    """Number of solved trajectories; the task's where none is given."""
+    """Number of solved trajectories (default: the task's)."""
     seed: NotNegative = 0
     """Seed of the random starts."""
     workers: Positive = os.cpu_count() or 1
     """Number of processes."""
     ray: str | None = None
-    """Address of a Ray cluster that solves, auto for this machine's; processes of this machine where none is given."""
+    """Address of a Ray cluster, auto for this machine's (default: processes of this machine)."""
 
 
 @dataclass(frozen=True)

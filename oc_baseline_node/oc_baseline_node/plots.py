@@ -20,21 +20,21 @@ _CELLS = 300
 def draw_heat_map(
     value: ValueFunction, task: NavigationTask, path: Path, at: Mapping[str, float] | None = None, cells: int = _CELLS
 ) -> Array:
-    """Draw V_oc over the plane of positions (Fig. 3.11) and return what is drawn (cells, cells), rows along y or z.
+    """Draw V_oc over the plane of positions (Fig. 3.11); return its values (cells, cells), rows along y or z.
 
-    Colours span the values of the free space; where the body collides the map is hatched.
+    Colours span the values of free space; collisions are hatched.
 
     Args:
         value: Value function over the states of the task's system.
         task: Task with the arena, goal and obstacles to draw.
         path: File of the picture, PNG.
-        at: Values of the other state components [their unit]; 0 for those left out.
+        at: Values of the other state components in their units; 0 where omitted.
         cells: Number of cells along each side of the map.
 
     Raises:
-        OcError: the value belongs to another kind of state.
-        ValueFunctionError: `at` names what the state lacks.
-        OSError: the picture cannot be written.
+        OcError: The value has other states than the task.
+        ValueFunctionError: `at` names an unknown state component.
+        OSError: The picture cannot be written.
     """
     plane, chosen = plane_of(value), dict(at or {})
     if value.state_names != task.system.build().state_names:

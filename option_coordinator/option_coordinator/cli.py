@@ -32,11 +32,11 @@ class ReplayOptions:
     """Policy 'scripted' or 'random', or a file that `train` wrote."""
 
     choose: Literal["draws", "mode"] | None = None
-    """Use of a learned policy: draws from it, or its most likely options; the policy's own unless given."""
+    """Use of a learned policy: draws, or its most likely options (default: the policy's own)."""
 
     synchronisation: Literal["async", "wait", "cut"] | None = None
-    """Robots that choose together. async: each when it is ready; wait: all, once the last is ready; cut: all, as soon
-    as the first is ready. A learned policy's own unless given, else async."""
+    """Which robots choose together. async: each when it is ready; wait: all, once the last is ready; cut: all, once the
+    first is ready (default: a learned policy's own, else async)."""
 
     seed: int = 0
     """Seed of the episode."""
@@ -82,7 +82,7 @@ def _draw(options: ReplayOptions, environment: OptionEnvironment) -> None:
 
 
 def prepare_replay(options: ReplayOptions) -> tuple[OptionEnvironment, DecisionPolicy]:
-    """Return the environment to play in and the policy that chooses."""
+    """Return the environment and the policy of a replay."""
     film = options.animation is not None
     if options.policy in ("scripted", "random"):
         environment = make_environment(options.task, options.synchronisation or "async", film=film)

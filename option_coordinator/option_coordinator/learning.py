@@ -1,4 +1,4 @@
-"""Doors to the learning commands: where the packages that they need are missing, one line says what to install."""
+"""Entry points of the learning commands; one line says what to install if their packages are missing."""
 
 from functools import partial
 

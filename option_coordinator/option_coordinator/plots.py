@@ -27,15 +27,15 @@ from option_coordinator.environments.option_env import OptionEnvironment, Span
 from option_coordinator.errors import OptionError
 
 _FRAME_TIME = 0.12
-_LETTER, _LINE = 0.62, 1.3  # of the size of type
-_SAME = 0.01  # of the picture: a gap that parts nothing
+_LETTER, _LINE = 0.62, 1.3  # relative to the font size
+_SAME = 0.01  # relative to the picture: a gap that is not shown
 
 
 def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> None:
-    """Draw the options of an environment's last episode as in Fig. 5.1; hatched where an option was not finished.
+    """Draw the options of an environment's last episode as in Fig. 5.1; unfinished options are hatched.
 
     Raises:
-        OptionError: there was none.
+        OptionError: There was no episode.
     """
     with picture(path, title, height=1.4 + 0.45 * len(environment.agents)) as (figure, ((ax,),)):
         figure.draw_without_rendering()  # labels are as large as their bars
@@ -46,7 +46,7 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
     """Draw a filmed environment's last episode as an animated GIF: the room above, the timeline below.
 
     Raises:
-        OptionError: there was none, or it was not filmed.
+        OptionError: There was no episode, or it was not filmed.
     """
     if not environment.scenes:
         raise OptionError("the episode was not filmed: make the environment with film=True")
@@ -68,7 +68,7 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
 
 
 def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:
-    """Draw what does not move and return the robots' marks by name."""
+    """Draw the fixed parts and return the robots' markers by name."""
     simulation = environment.simulation
     for name, place in simulation.landmarks.items():
         draw_landmark(ax, name, place)
@@ -85,9 +85,9 @@ def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:
 def draw_spans(
     ax: Axes, spans: Sequence[Span], agents: Sequence[str], options: Sequence[str], unit: float = 1.0
 ) -> None:
-    """Draw the options that agents ran, a row for each agent; hatched where an option was not finished.
+    """Draw the options that agents ran, one row per agent; unfinished options are hatched.
 
-    Repeated options are labelled once; options without room for a label are numbered, and the numbers named below.
+    Repeated options are labelled once; options without room for a label get a number, which the axis explains.
 
     Args:
         ax: Axes to draw on.
@@ -133,7 +133,7 @@ def _draw_episode(ax: Axes, environment: OptionEnvironment) -> None:
 
 
 def _stretches(spans: Sequence[Span], gap: float) -> list[Span]:
-    """Return spans with those as one in which an agent runs the same option again and again."""
+    """Join spans in which an agent repeats the same option."""
     out: list[Span] = []
     for span in sorted(spans, key=lambda span: (span.agent, span.begin)):
         last = out[-1] if out else None
@@ -145,7 +145,7 @@ def _stretches(spans: Sequence[Span], gap: float) -> list[Span]:
 
 
 def _rotation(length: float, width: float, height: float) -> float | None:
-    """Return how a label is turned [deg] so that it fits, None where it does not; sizes in points."""
+    """Return the rotation [deg] at which a label fits, or None; sizes in points."""
     if length + _LETTER * SMALL <= width:
         return 0.0
     return 90.0 if width >= _LINE * SMALL and length <= height else None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from option_coordinator.policies.policy_query import query_with_fallback
-from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.ledger import RobotState, State
 from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus
 from team import AGENTS, TIMES, at, uniform
 
@@ -224,7 +224,7 @@ def test_the_last_robot_to_end_closes_the_episode():
 
 
 def test_the_ledger_refuses_what_cannot_be():
-    entry = Entry("r0")
+    entry = RobotState("r0")
     with pytest.raises(OptionError, match="heard first"):
         entry.ask(1, 0.0)
     entry.heard(7, 0.0)
@@ -234,7 +234,7 @@ def test_the_ledger_refuses_what_cannot_be():
 
 
 def test_a_late_word_of_an_old_life_revives_nothing_unless_the_robot_is_lost():
-    entry = Entry("r0")
+    entry = RobotState("r0")
     entry.heard(8, 0.0)
     with pytest.raises(OptionError, match="was replaced by 8"):
         entry.heard(7, 0.1)

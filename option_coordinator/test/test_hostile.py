@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from option_coordinator.nodes.messages import StepMessages, grant_message, grant_of, heartbeat_of, request_of, status_of
 from option_coordinator.protocol.clock_reading import TaskTime
 from option_coordinator.protocol.election import Epochs
-from option_coordinator.protocol.grants import Journal
+from option_coordinator.protocol.grants import EpisodeRecorder
 from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHeartbeat, GrantStatus, MessageError
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
@@ -134,10 +134,10 @@ def test_what_a_robot_says_of_the_past_does_not_blow_up_the_joint_reward():
 
 @pytest.mark.parametrize("began", [-1e4, -1e300, 0.0])
 def test_a_reward_is_counted_from_its_options_longest_duration_at_most(began):
-    journal = Journal(0.0, 1.0, 0.99)
+    journal = EpisodeRecorder(0.0, 1.0, 0.99)
     assert journal.credit(1.0, began, 60.0)
     assert journal._reward <= 0.99**-60
-    assert not Journal(0.0, 1e-3, 0.5).credit(1.0, -1e6, 1e6)  # overflows: not counted
+    assert not EpisodeRecorder(0.0, 1e-3, 0.5).credit(1.0, -1e6, 1e6)  # overflows: not counted
 
 
 @settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

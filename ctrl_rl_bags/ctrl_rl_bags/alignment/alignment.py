@@ -1,4 +1,4 @@
-"""Turns bags into time-aligned arrays to train on: several topics sampled at the times of one, or at a fixed rate.
+"""Turns bags into time-aligned arrays: several topics sampled at the times of one of them, or at a fixed rate.
 
 sequences = align("runs/office", ["/scan", "/odom", "/cmd_vel"], reference="/scan", max_step=0.5, max_age=0.2)
 for sequence in sequences:  # no sequence reaches across a gap, a jump of the odometry, a reset, or two bags
@@ -31,8 +31,8 @@ class AlignedSamples:
     Attributes:
         times: Times of the rows (n,) [ns], rising.
         values: Samples by topic (n, columns), or objects (n,); NaN or None where there is no sample yet.
-        ages: Distance in time to the sample that was used, by topic (n,) [s]; for `linear` to the farther of two,
-            infinite where there is none. Mask stale data by it.
+        ages: Time to the sample that was used, by topic (n,) [s]; for `linear` to the farther of two; infinite if
+            there is none. Mask stale data by it.
     """
 
     times: NDArray[np.int64]
@@ -48,7 +48,7 @@ class AlignedSamples:
         return np.asarray((self.times - self.times[:1]) * 1e-9, dtype=np.float64)
 
     def rows(self, index: slice | NDArray[Any]) -> AlignedSamples:
-        """Return some of the rows."""
+        """Select rows."""
         return AlignedSamples(
             self.times[index],
             {topic: values[index] for topic, values in self.values.items()},
@@ -58,12 +58,12 @@ class AlignedSamples:
     def split(
         self, max_step: float = np.inf, max_age: float = np.inf, cuts: NDArray[np.bool_] | None = None
     ) -> list[AlignedSamples]:
-        """Leave out rows with a sample older than `max_age` [s], and cut there and at steps above `max_step` [s].
+        """Drop rows with a sample older than `max_age` [s]; cut there and at steps above `max_step` [s].
 
         Args:
-            max_step: Largest step between two rows of a piece [s].
-            max_age: Largest age of a sample [s].
-            cuts: Steps (n - 1,) to cut at besides.
+            max_step: Maximum step between two rows of a piece [s].
+            max_age: Maximum age of a sample [s].
+            cuts: Further steps to cut at (n - 1,).
         """
         keep = np.ones(len(self), dtype=np.bool_)
         for ages in self.ages.values():
@@ -93,11 +93,11 @@ def align(
         topics: Names, or names with the extractors of their messages (default: `EXTRACTORS` by type).
         reference: Topic at whose times all others are sampled, or a rate [Hz].
         methods: Method by topic: `previous` sample held (the default), `nearest`, or `linear` (numbers only).
-        clock: `header` for the messages' own stamps; the log times of a topic without stamps are brought onto their
-            clock. `log` for the times of reception.
-        max_step: Largest step between two rows of a sequence [s]; a longer one starts a new sequence.
-        max_age: Largest age of a sample [s]; rows with an older one are left out. Infinite keeps all rows.
-        tell: Takes a line about what is left out, or where a drive is cut; warns unless given.
+        clock: `header` for message stamps, to whose clock the log times of topics without stamps are converted; `log`
+            for the times of reception.
+        max_step: Maximum step between two rows of a sequence [s]; a longer one starts a new sequence.
+        max_age: Maximum age of a sample [s]; rows with an older one are left out. Infinite keeps all rows.
+        tell: Called with a line about what is left out or where a drive is cut; a Python warning by default.
 
     Returns:
         The sequences in the order of the bags, each without a gap, a jump of the odometry or a reset of the clock.
@@ -138,7 +138,7 @@ def align(
 
 
 def _sample_times(run: Mapping[str, TimeSeries], reference: str | float, max_age: float) -> NDArray[np.int64]:
-    """Return the times of a topic, or those of a rate, without the gaps in which a sample would be too old.
+    """Return the times of a topic, or of a rate without the gaps in which a sample would be too old.
 
     Raises:
         BagError: The rate asks for too many rows.
@@ -161,7 +161,7 @@ def _sample_times(run: Mapping[str, TimeSeries], reference: str | float, max_age
 
 
 def _without_gaps(filled: Sequence[NDArray[np.int64]], first: int, last: int, max_age: float) -> list[tuple[int, int]]:
-    """Return the spans from `first` to `last` [ns] in which no two samples of a topic are long apart."""
+    """Return the spans between `first` and `last` [ns] without a long gap in any topic."""
     gaps = [np.empty((0, 2), dtype=np.int64)]
     for times in filled:
         after = np.flatnonzero(np.diff(times) * 1e-9 > 2.0 * max_age)

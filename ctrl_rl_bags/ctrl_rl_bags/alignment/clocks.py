@@ -1,7 +1,7 @@
-"""The topics of a bag on one clock, apart for each run of that clock.
+"""Puts the topics of a bag on one clock, and splits them where it is reset.
 
-A message has two times: the stamp in its header, and the log time at which the recorder received it. Stamps say when
-something was measured; log times are the witness that the stamps of all topics come from one clock.
+A message has two times: the stamp in its header, and the log time at which the recorder received it. Stamps tell when
+something was measured; log times show whether the stamps of all topics come from one clock.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ from ctrl_rl_core import CtrlRlError
 Clock = Literal["header", "log"]
 Topics = Sequence[str] | Mapping[str, Extractor]
 Tell = Callable[[str], object]
-"""Takes a line about what was left out of a bag."""
+"""Called with a line about what was left out of a bag."""
 
 _RESET_NS = 500_000_000
-"""Stamps of one topic that fall back by more than this: the clock was set back, a simulation was reset.
+"""A fall of a topic's stamps by more than this is a reset of the clock.
 
-Several nodes may publish on one topic, and each stamps with the time of its own input: such stamps fall by less."""
+Several publishers of a topic may stamp with the time of their own inputs: such stamps fall by less."""
 _RESET_APART_NS = 2_000_000_000
-"""Log times within which topics show the same reset."""
+"""Time of reception within which topics show the same reset."""
 _LATE_S = 0.5
-"""Stamps of two topics that differ by more at the same log time are of two clocks; no robot's messages take so long."""
+"""Stamps of two topics that differ by more at the same log time come from two clocks: no message takes so long [s]."""
 _OTHERS = 0.1
-"""Share of a topic's messages that must differ so."""
+"""Share of a topic's messages that must differ by so much."""
 _FEWEST = 3
 _BEGUN_NS = 10_000_000_000
-"""A time of 0 beside times beyond this one is no time: the sender had no clock yet."""
+"""If other times are above this, a time of 0 means that the sender had no clock yet."""
 _ADVICE = "--clock log (clock='log') goes by the times of reception"
 
 
 class BagWarning(UserWarning):
-    """Part of a bag is left out, or read otherwise than it says."""
+    """Part of a bag is left out or reinterpreted."""
 
 
 def warn(line: str) -> None:
-    """Tell a line as a Python warning."""
+    """Issue a Python warning."""
     warnings.warn(line, BagWarning, stacklevel=4)
 
 
 def clock_runs(
     bag: Bag, topics: Topics, reference: str | None, clock: Clock, tell: Tell = warn, *, paced: bool = False
 ) -> list[dict[str, TimeSeries]]:
-    """Return the topics of a bag on one clock, one mapping for each run between two resets of it.
+    """Return the topics of a bag on one clock, one mapping per run between two resets.
 
     Args:
         bag: Bag that is open.
         topics: Names of topics, or names with their extractors.
-        reference: Topic whose stamps are the clock where it has any.
+        reference: Topic whose stamps are the clock, if it has any.
         clock: `header` for the messages' stamps, `log` for the times of reception.
-        tell: Takes lines about messages that are left out.
-        paced: Whether the times of reception are brought onto the reference's clock: a second of a slow simulation is
-            a second of the robot, however long the computer took.
+        tell: Called with lines about messages that are left out.
+        paced: Whether to convert times of reception to the reference's clock, so that a second of a slow simulation is
+            a second.
 
     Raises:
         BagError: The bag is damaged, or the stamps of its topics are of different clocks.
@@ -105,7 +105,7 @@ def clock_runs(
 
 
 def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
-    """Read topics into series over log time; messages without a time are left out."""
+    """Read topics into series over log time."""
     extractors: dict[str, Extractor] = dict(topics) if isinstance(topics, Mapping) else {}
     log: dict[str, list[int]] = {topic: [] for topic in topics}
     stamps: dict[str, list[int]] = {topic: [] for topic in topics}
@@ -148,7 +148,7 @@ def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
 
 
 def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
-    """Leave out messages that were received or stamped before their clock had begun."""
+    """Leave out messages that were received or stamped before their clock had started."""
     received = np.concatenate([series.times for series in read.values()] or [np.empty(0, np.int64)])
     begun = (received > 0).any() and received[received > 0].min() > _BEGUN_NS
     out = {}
@@ -173,7 +173,7 @@ def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeS
 
 
 def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: str, base: TimeSeries) -> None:
-    """Refuse a bag whose topics are stamped by different clocks, and name the topic that is off.
+    """Refuse a bag whose topics are stamped by different clocks; name the one that is off.
 
     Args:
         bag: Bag of the topics.
@@ -212,7 +212,7 @@ def _resets(stamps: NDArray[np.int64], fall: int = _RESET_NS) -> NDArray[np.intp
 
 
 def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """Match clock resets of another topic, by log time, to rows of this series; None if it has others."""
+    """Match another topic's clock resets, by log time, to rows of this series; None if it has different ones."""
     rows = np.searchsorted(series.times, resets)
     own = _resets(series.stamps) if series.stamps is not None else np.empty(0, np.intp)
     if not len(own):
@@ -227,7 +227,7 @@ def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _pace(known: TimeSeries) -> float:
-    """Return how fast the clock of a stamped series runs, in seconds of it a second of reception."""
+    """Return the speed of a stamped series' clock, in its seconds per second of reception."""
     assert known.stamps is not None
     if len(known.times) < 2 or known.times[-1] <= known.times[0]:
         return 1.0
@@ -235,7 +235,7 @@ def _pace(known: TimeSeries) -> float:
 
 
 def _to_clock(log: NDArray[np.int64], known: TimeSeries) -> NDArray[np.int64]:
-    """Bring log times onto the clock of a stamped series."""
+    """Convert log times to the clock of a stamped series."""
     assert known.stamps is not None
     if not len(known.times) or not len(log):
         return log

@@ -1,4 +1,4 @@
-"""Takes arrays and numbers out of messages, by message type."""
+"""Extracts numbers and objects from messages, and finds jumps of the odometry."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Array = NDArray[np.float64]
 
 _NEIGHBOURS = 4
 _NOISE_M, _NOISE_RAD = 0.03, 0.1
-"""Steps by which any odometry may differ from the motion around it."""
+"""Steps that any odometry may deviate from the motion around it [m], [rad]."""
 _QUICKER = 1.5
-"""A robot speeds up by no more than this between two messages, other than by noise."""
+"""Maximum ratio of speeds between two messages, apart from noise."""
 _DRAWS = 3
-"""Neighbours that may be jumps themselves."""
+"""Number of neighbours that may be jumps themselves."""
 
 
 def odometry_jumps(times: NDArray[np.int64], positions: Array, yaws: Array, speeds: Array) -> NDArray[np.intp]:
     """Return the rows before which the pose jumps.
 
-    A step is a jump where it is longer than the odometry's own speeds and the steps around it explain; a TurtleBot3
-    that says speed 0 while it drives has the latter.
+    A step is a jump if neither the odometry's own speeds nor the steps around it explain its length. The latter help
+    where a TurtleBot3 reports speed 0 while it drives.
 
     Args:
         times: Times of the messages (n,) [ns].
@@ -49,7 +49,7 @@ def odometry_jumps(times: NDArray[np.int64], positions: Array, yaws: Array, spee
 
 
 def _usual(rates: Array) -> Array:
-    """Return for each step the rate that all but a few of the steps around it stay below."""
+    """Return for each step the rate that all but a few steps around it stay below."""
     padded = np.concatenate((np.full(_NEIGHBOURS, np.nan), rates, np.full(_NEIGHBOURS, np.nan)))
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1).copy()
     near[:, _NEIGHBOURS] = np.nan
@@ -71,9 +71,9 @@ class Extractor:
             CtrlRlError for a message that must not be used.
         columns: Names of the numbers.
         angles: Indices of the columns that are angles [rad] and wrap at pi.
-        jumps: Function of times (n,) [ns] and rows (n, columns) that returns the rows before which the robot did not
-            drive but was put elsewhere; no sequence reaches across. None where nothing can jump.
-        stamped: Whether the stamp of a message is its time, where it has one; otherwise that of its reception is.
+        jumps: Function of times (n,) [ns] and rows (n, columns) that returns the rows before which the robot was moved
+            rather than drove; no sequence reaches across. None where nothing can jump.
+        stamped: Whether a message's time is its stamp, if it has one, rather than its reception.
     """
 
     read: Callable[[Any], Any]
@@ -83,7 +83,7 @@ class Extractor:
     stamped: bool = True
 
     def array(self, rows: list[Any]) -> NDArray[Any]:
-        """Return rows (n) as an array (n, columns) of float64, or (n,) of objects."""
+        """Return rows as an array (n, columns) of float64, or (n,) of objects."""
         if self.columns:
             return np.array(rows, dtype=np.float64).reshape(len(rows), len(self.columns))
         out = np.empty(len(rows), dtype=np.object_)

@@ -1,4 +1,4 @@
-"""One topic's samples over time, and their values at other times."""
+"""Samples of one topic over time, their values at other times, and what acted during steps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TimeSeries:
         angles: Indices of the columns that are angles and wrap at pi.
         stamps: Times in the messages' headers (n,) [ns]; None without headers.
         jumps: As in `Extractor`.
-        log: Log times (n,) [ns], where `times` are others.
+        log: Log times (n,) [ns], if `times` are different.
     """
 
     times: NDArray[np.int64]
@@ -35,12 +35,12 @@ class TimeSeries:
     log: NDArray[np.int64] | None = None
 
     def some(self, rows: NDArray[np.intp]) -> TimeSeries:
-        """Return the series of these rows, in the order given."""
+        """Select rows, in the order given."""
         stamps = None if self.stamps is None else self.stamps[rows]
         return TimeSeries(self.times[rows], self.values[rows], self.angles, stamps, self.jumps)
 
     def at(self, rows: NDArray[np.intp], times: NDArray[np.int64]) -> TimeSeries:
-        """Return some rows with other times, in the order of these times."""
+        """Select rows and give them other times, in whose order they are sorted."""
         order = np.argsort(times, kind="stable")
         stamps = None if self.stamps is None else self.stamps[rows][order]
         return TimeSeries(
@@ -60,7 +60,7 @@ class TimeSeries:
 def resample(
     series: TimeSeries, times: NDArray[np.int64], method: Method = "previous"
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Return a series' values (m, columns) and their ages (m,) [s] at other times.
+    """Sample a series at other times; return values (m, columns) and their ages (m,) [s].
 
     Args:
         series: Samples whose times rise.
@@ -68,7 +68,7 @@ def resample(
         method: `previous` sample held, `nearest` sample, or `linear` interpolation.
 
     Raises:
-        BagError: The method is `linear` and the values are no numbers.
+        BagError: The method is `linear` but the values are not numbers.
     """
     ragged = series.values.dtype == np.object_
     if ragged and method == "linear":
@@ -119,14 +119,14 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 LONGEST_NS = 1_000_000_000
-"""A step between two scans that is longer is a gap; commands and odometry that are older do not count."""
+"""A longer step between two scans is a gap; commands and odometry older than this do not count [ns]."""
 _HALF = 0.5
 _LIKE = 0.25
-"""Part by which a step may differ from the period that was asked for."""
+"""Relative deviation that a step may have from the requested period."""
 
 
 def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Array:
-    """Return the commands that acted during steps (n, columns); NaN where none did for half of the step.
+    """Return the command that acted during each step (n, columns); NaN where none did for half of it.
 
     A command acts from its time until the next one, for a second at most: then the base stops by itself. A step gets
     the command that acted for more than half of it, so that a millisecond between scan and command changes nothing;
@@ -136,7 +136,7 @@ def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Ar
         commands: Commands by the time from which they act.
         begins: Beginnings of the steps (n,) [ns].
         ends: Their ends (n,) [ns].
-        since: Time before which commands do not count, such as the last reset of the world (n,) [ns].
+        since: Time before which commands do not count, such as the world's last reset (n,) [ns].
     """
     count = len(commands.times)
     out = np.full((len(begins), *commands.values.shape[1:]), np.nan)
@@ -158,9 +158,9 @@ def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Ar
 
 
 def spaced(times: Times, starts: NDArray[np.bool_], period: float) -> NDArray[np.intp]:
-    """Return the rows nearest to a row of times a period apart, beginning anew at each start.
+    """Pick the rows nearest to times one period apart, counted anew from each start.
 
-    The last row before a start is among them, so that what happened at the end is not lost.
+    The last row before a start is kept too, so that the end of a sequence is not lost.
 
     Args:
         times: Times of the rows (n,) [ns], rising between two starts.
@@ -179,14 +179,14 @@ def spaced(times: Times, starts: NDArray[np.bool_], period: float) -> NDArray[np
 
 
 def even(steps: Array, period: float) -> NDArray[np.bool_]:
-    """Return whether each step lasts one period, both in s."""
+    """Return whether each step [s] lasts about one period [s]."""
     return np.asarray(np.abs(steps / period - 1.0) <= _LIKE, dtype=np.bool_)
 
 
 def odometry_at(series: TimeSeries, times: Times) -> Array:
-    """Return odometry (n, 13) at other times: as it came where the stamp is the same, otherwise on the way between two.
+    """Return odometry (n, 13) at other times, interpolated between messages.
 
-    After the last message it stays for a second; NaN where there is none.
+    The last message holds for a second; NaN where there is none.
     """
     known = series.times
     out = np.full((len(times), series.values.shape[1]), np.nan)
@@ -207,5 +207,5 @@ def odometry_at(series: TimeSeries, times: Times) -> Array:
 
 
 def latest(series: TimeSeries, times: Times) -> NDArray[np.intp]:
-    """Return the number of the last sample at or before each time (n,); -1 where there is none."""
+    """Return the index of the last sample at or before each time (n,); -1 where there is none."""
     return np.searchsorted(series.times, times, side="right") - 1

@@ -30,20 +30,20 @@ class Export(DriveOptions):
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Bags, or folders of runs with a bag in `bag`."""
     format: Literal["lerobot", "minari"]
-    """Library that is to read the dataset."""
+    """Library that will read the dataset."""
     output: Annotated[FolderToWrite, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, which must not exist."""
     image: str = "camera/image_raw"
-    """Topic of the camera's pictures (sensor_msgs/Image); without such a topic there are none."""
+    """Topic of the camera (sensor_msgs/Image); without it the dataset has no pictures."""
     task: str = ""
     """Name of the task (default: what the bag's parameters say)."""
     period: Annotated[float | None, checked(_period, "NUMBER")] = None
-    """Time from frame to frame [s] (default: a frame for each scan)."""
+    """Time between frames [s] (default: one frame per scan)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Import:
-    """Write a dataset that `bag export` wrote as bags again, one for each that it came from."""
+    """Turn a dataset that `bag export` wrote back into bags, one per original bag."""
 
     dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     """Folder of the dataset."""
@@ -54,7 +54,7 @@ class Import:
 
 
 def run_export(options: Export) -> int:
-    """Do what `bag export` is asked to and return the exit code."""
+    """Run `bag export` and return its exit code."""
     began = time.monotonic()
     how = options.extraction(image=options.image, task=options.task, period=options.period)
     with tqdm(total=count_messages(options.runs), desc="export", unit="message", disable=None) as bar:
@@ -69,7 +69,7 @@ def run_export(options: Export) -> int:
 
 
 def run_import(options: Import) -> int:
-    """Do what `bag import` is asked to and return the exit code."""
+    """Run `bag import` and return its exit code."""
     began = time.monotonic()
     _report(import_dataset(options.dataset, options.output, options.robot), options.output, began)
     return 0

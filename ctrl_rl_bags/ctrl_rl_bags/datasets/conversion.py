@@ -21,15 +21,14 @@ from ctrl_rl_bags.format.metadata import METADATA_FILE
 from ctrl_rl_bags.format.reader import bag_info
 
 FORMATS: Mapping[str, tuple[str, str]] = {"lerobot": ("lerobot_format", "pyarrow"), "minari": ("minari_format", "h5py")}
-"""Module and needed package of each format."""
+"""Module of each format, and the package that it needs."""
 _LONGEST_NAME = 200
-_MOST_SOURCES = 10_000
 
 
 class Converted(NamedTuple):
-    """What was written: episodes, frames, bytes of messages read, scans in no frame, and what the bags lack.
+    """What was written: episodes, frames, bytes of messages read, scans in no frame, and lines on what is missing.
 
-    What they lack includes what was left out, with the reason. Delays are those from scans to commands, of each bag.
+    `delays` are the times from scans to commands, one per bag [s].
     """
 
     episodes: int
@@ -47,14 +46,14 @@ def export_bags(
     options: ExtractionOptions,
     tell: Callable[[int], object] = lambda _: None,
 ) -> Converted:
-    """Write the drives of bags as a dataset of another library.
+    """Export the drives of bags as a dataset of another library.
 
     Args:
         runs: Bags, or folders of runs with a bag in `bag`.
         output: Folder of the dataset, which must not exist.
         kind: One of `FORMATS`.
         options: Names of the topics, and beams of the scans.
-        tell: Told the number of messages read since the last call.
+        tell: Called with the number of messages read since the last call.
 
     Raises:
         BagError: A bag cannot be read, has no drive, or does not fit the first; the output exists.
@@ -81,7 +80,7 @@ def export_bags(
 
 
 def import_dataset(folder: Path, output: Path, robot: str = "") -> Converted:
-    """Write a dataset that `export_bags` wrote as bags again, one for each it came from: `output/bag_0` and so on.
+    """Turn a dataset that `export_bags` wrote back into bags `output/bag_0`, `output/bag_1` ...
 
     Args:
         folder: Folder of the dataset.
@@ -89,7 +88,7 @@ def import_dataset(folder: Path, output: Path, robot: str = "") -> Converted:
         robot: Namespace of the topics.
 
     Raises:
-        BagError: It is no such dataset, it is damaged, or the output exists.
+        BagError: It is not such a dataset, it is damaged, or the output exists.
     """
     layout, frames = read_dataset(folder)
     with _new_folder(output) as new, raise_as(DatasetError, folder):
@@ -98,10 +97,10 @@ def import_dataset(folder: Path, output: Path, robot: str = "") -> Converted:
 
 
 def read_dataset(folder: Path) -> tuple[Layout, Iterator[Frames]]:
-    """Return the layout of a dataset of ours, and its frames as a stream.
+    """Return the layout of a dataset that `export_bags` wrote, and a stream of its frames.
 
     Raises:
-        DatasetError: It is no such dataset.
+        DatasetError: It is not such a dataset.
     """
     marks = {"lerobot": "meta/info.json", "minari": "data/metadata.json"}
     kind = next((kind for kind, mark in marks.items() if (folder / mark).is_file()), None)
@@ -142,7 +141,7 @@ def _writer(module: ModuleType, folder: Path, layout: Layout, name: str) -> Any:
 
 @contextmanager
 def _new_folder(output: Path) -> Iterator[Path]:
-    """Give a folder that gets its name when all is written, and is removed otherwise."""
+    """Yield a temporary folder; rename it to `output` on success, else remove it."""
     if output.exists():
         raise DatasetError(f"{output} exists: name another folder")
     temporary = temporary_beside(output)

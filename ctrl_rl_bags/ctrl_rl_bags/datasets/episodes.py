@@ -1,4 +1,4 @@
-"""Frames of one episode while they come in."""
+"""Collects the frames of one episode as they arrive."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from ctrl_rl_bags.datasets.frames import (
 )
 
 TIMEOUT = 4
-"""Outcome of an episode that was cut at its step limit, as in ctrl_rl_msgs/TaskOutcome."""
+"""Outcome of an episode that hit its step limit, as in ctrl_rl_msgs/TaskOutcome."""
 PIECE = 1000
 """Frames that are held in memory."""
 _PIECE_BYTES = 64 << 20
 
 
 class Step(NamedTuple):
-    """What is known at a scan: the observation, and what was commanded, paid and reached since the scan before.
+    """The observation at a scan, and the command, reward and outcome since the previous scan.
 
     Attributes:
         stamp: Time in the scan's header [ns].
@@ -60,10 +60,10 @@ class Step(NamedTuple):
 
 
 class EpisodeFrames:
-    """Collects the steps of an episode and gives its frames away in pieces.
+    """Collects the steps of an episode and yields its frames in pieces.
 
     Attributes:
-        left_out: Scans that are in no frame, for want of a command.
+        left_out: Scans in no frame, because no command followed them.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -86,7 +86,7 @@ class EpisodeFrames:
         return self._steps[-1].time if self._steps else None
 
     def add(self, step: Step) -> Iterator[Frames]:
-        """Add a step; yield frames where enough have come together."""
+        """Add a step; yield frames when a piece is full."""
         if self._steps:
             if step.command is None:
                 yield from self.end()
@@ -102,7 +102,7 @@ class EpisodeFrames:
             self._steps, self._done = kept
 
     def end(self) -> Iterator[Frames]:
-        """End the episode; yield what is left of it, nothing of one without a transition."""
+        """End the episode; yield its remaining frames, none if it had no transition."""
         if self._done:
             yield self._frames(last=True)
         else:
@@ -110,7 +110,7 @@ class EpisodeFrames:
         self._steps, self._done, self._count = [], [], 0
 
     def _frames(self, *, last: bool) -> Frames:
-        """Return a frame for each transition, and one more at the end of the episode."""
+        """Return one frame per transition, plus a last one at the end of the episode."""
         steps = self._steps if last else self._steps[:-1]
         done = [*self._done, (self._done[-1][0], np.nan, 0)] if last else self._done
         odometry = np.array([step.odometry for step in steps])

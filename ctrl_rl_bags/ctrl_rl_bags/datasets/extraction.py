@@ -1,4 +1,4 @@
-"""Frames from bags, as a stream: a bag of any length takes the memory of a thousand frames and a row a scan."""
+"""Streams frames from bags: a bag of any length needs memory for a thousand frames and one row per scan."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from ctrl_rl_bags.format.reader import Bag, open_bag
 from ctrl_rl_core import ScanError
 
 _PERIODS = 200
-"""Scans that the period of a dataset is taken from."""
+"""Number of scans from which a dataset's period is measured."""
 _MOST_NOTES = 100
 _TOLD = 1000
-"""Scans after which progress is told."""
+"""Number of scans between two reports of progress."""
 
 
 @dataclass
 class Found:
-    """What an extraction found, for its report.
+    """What an extraction found, for the report.
 
     Attributes:
-        missing: Topics that the bags lack, with what is missing for that.
+        missing: Topics that the bags lack, and what the frames lack for it.
         left_out: Scans that are in no frame.
-        notes: Lines about messages that were left out, and about drives that were cut.
+        notes: Lines about messages left out and drives cut.
         delays: Median time from a scan to the command that follows it, of each bag [s].
         bytes: Size of the messages read.
     """
@@ -46,19 +46,19 @@ class Found:
     bytes: int = 0
 
     def note(self, line: str) -> None:
-        """Keep a line."""
+        """Add a line, unless it is there or there are too many."""
         if len(self.notes) < _MOST_NOTES and line not in self.notes:
             self.notes.append(line)
 
     @property
     def why_nothing(self) -> str:
-        """Why bags may hold no drive: the end of an error."""
+        """Why the bags hold no drive, for the end of an error."""
         told = f" ({self.notes[0]})" if self.notes else ""
         return f"no two scans with odometry and a command between: was the robot driven?{told}"
 
 
 def find_layout(bag: Path | str, options: ExtractionOptions) -> Layout:
-    """Return the layout of a dataset whose first bag is this.
+    """Derive a dataset's layout from its first bag.
 
     Raises:
         BagError: The bag cannot be read, or lacks scans, odometry or commands.
@@ -112,17 +112,17 @@ def extract(
 ) -> Iterator[Frames]:
     """Yield the frames of bags, a piece of an episode at a time.
 
-    A frame is a scan with odometry, goal and picture at its time. Its action is the command that acted until the next
-    frame; `next.reward` and `next.outcome` are those at that one. Times are the messages' stamps, those of reception
-    where there are none (`ctrl_rl_bags.alignment`). An episode ends at an outcome, where its number changes, where
-    the odometry jumps, the clock is set back, and where scans, odometry or commands pause for a second.
+    A frame is a scan with the odometry, goal and picture of its time. Its action is the command that acted until the
+    next frame, whose reward and outcome are `next.reward` and `next.outcome`. Times are message stamps, or times of
+    reception where there are none (`ctrl_rl_bags.alignment`). An episode ends with an outcome or a new episode number,
+    when the odometry jumps or the clock is set back, and when scans, odometry or commands pause for a second.
 
     Args:
         bags: Bags in the order of the episodes.
         layout: Layout of the dataset, from `find_layout`.
         options: Names of the topics, beams of the scans, clock, and length of the steps.
-        found: Filled in with what was missing.
-        tell: Told the number of messages read since the last call.
+        found: Receives what was missing.
+        tell: Called with the number of messages read since the last call.
 
     Raises:
         BagError: A bag cannot be read, does not fit the layout, or its topics have different clocks.
@@ -136,7 +136,7 @@ def extract(
 
 
 class _Extraction:
-    """Goes through one bag."""
+    """Extracts the frames of one bag."""
 
     def __init__(
         self, bag: Bag, layout: Layout, options: ExtractionOptions, found: Found, tell: Callable[[int], object]
@@ -175,7 +175,7 @@ class _Extraction:
         yield from self._with_scans(Timeline.joined(read.parts))
 
     def _with_scans(self, timeline: Timeline) -> Iterator[Frames]:
-        """Yield frames of a timeline, whose scans are read one after the other."""
+        """Yield the frames of a timeline, reading scan by scan."""
         current, row, count = EpisodeFrames(self._layout), 0, 0
         picture: tuple[int, NDArray[np.uint8] | None] = (0, None)
         scan, image = self._wiring.topics["scan"], self._wiring.topics.get("image", "")

@@ -1,4 +1,4 @@
-"""Frames: one row for each scan of a drive, in columns, apart for each episode."""
+"""Frames: one row per scan of a drive, stored in columns, episode by episode."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ LARGEST_INFO = 16_000_000
 
 
 class DatasetError(BagError):
-    """A dataset cannot be written or read; the message is the reason."""
+    """A dataset cannot be written or read; the message gives the reason."""
 
 
 MEMORY = 1 << 30
-"""Bytes that reading a dataset may take, beside a multiple of its size."""
+"""Memory for reading a dataset, besides a multiple of its size [bytes]."""
 
 
 CommandType = Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "ctrl_rl_msgs/msg/RotorThrusts"]
@@ -68,7 +68,7 @@ class ImageLayout(Schema):
 
 
 class Layout(Schema):
-    """What all frames of a dataset have in common.
+    """What all frames of a dataset share.
 
     Attributes:
         format: Version of the layout.
@@ -119,29 +119,29 @@ class Layout(Schema):
 
     @property
     def rate(self) -> float:
-        """Frames a second, a whole number where it is nearly one."""
+        """Frames per second, rounded to a whole number if close to one."""
         rate = 1.0 / self.period
         return float(round(rate)) if rate >= 1.0 and abs(rate / round(rate) - 1.0) < 0.02 else round(rate, 6)
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of frames: type and shape of one value, and the names of its components."""
+    """A column of frames: type and shape of a value, and names of its components."""
 
     dtype: str
     shape: tuple[int, ...] = ()
     names: tuple[str, ...] | str = ()
 
     def fits(self, values: NDArray[np.generic]) -> bool:
-        """Return whether an array has this type and shape, one value a row."""
+        """Return whether an array holds such values, one per row."""
         return values.dtype == np.dtype(self.dtype) and values.shape[1:] == self.shape
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Some frames of one episode, in order; each row is one scan, what was known at it, and what was done then.
+    """Consecutive frames of one episode; each row is a scan, what was known at its time, and what was done.
 
-    The last frame of an episode has an observation only: its action repeats the one before, its reward is NaN.
+    The last frame of an episode is only an observation: its action repeats the previous one, its reward is NaN.
 
     Attributes:
         columns: Arrays by the names of `Layout.columns`, each (n, ...).
@@ -160,7 +160,7 @@ class Frames:
 
 
 def whole_episodes(frames: Iterable[Frames]) -> Iterator[tuple[Frames, Mapping[str, NDArray[Any]]]]:
-    """Yield the last frames of each episode, and the columns of all its frames."""
+    """Yield each episode's last piece and the columns of all its frames."""
     parts: list[Frames] = []
     for piece in frames:
         parts.append(piece)
@@ -170,7 +170,7 @@ def whole_episodes(frames: Iterable[Frames]) -> Iterator[tuple[Frames, Mapping[s
 
 
 def times_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-    """Return the times of an episode's frames (n,) [ns]: their stamps, or where these do not rise, when they came."""
+    """Return the times of an episode's frames (n,) [ns]: stamps, or log times where stamps do not rise."""
     stamps: NDArray[np.int64] = columns[STAMP]
     return stamps if (np.diff(stamps) > 0).all() else columns[LOG_TIME]
 
@@ -183,7 +183,7 @@ def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def is_usable(numbers: NDArray[np.float64]) -> bool:
-    """Return whether numbers of the physical world are finite and not absurd."""
+    """Return whether physical quantities are finite and not absurdly large."""
     return bool((np.abs(numbers) < 1e30).all())  # False of NaN
 
 

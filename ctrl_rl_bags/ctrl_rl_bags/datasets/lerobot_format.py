@@ -1,7 +1,7 @@
 """LeRobot datasets, version 3: Parquet files of frames, and metadata in JSON and Parquet.
 
-Pictures are PNG files within the Parquet files, which keeps each pixel. The layout and what the bags said beside it
-lie in `meta/info.json` under `ctrl_rl`.
+Pictures are stored losslessly, as PNG files within the Parquet files. Layout and sources are in `meta/info.json` under
+`ctrl_rl`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FILE_MB, _CHUNK = 100, 1000
 _ROWS = 1000
-"""Rows that are written at once, where pictures do not make the pieces smaller."""
+"""Rows per write; pieces with pictures are smaller."""
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -69,7 +69,7 @@ class LeRobotWriter:
         self._waiting: list[pa.Table] = []
 
     def write(self, frames: Frames) -> None:
-        """Append frames; those of an episode follow each other."""
+        """Append frames, episode by episode."""
         if self._frame_index == 0:
             self._begin_episode(frames)
         count = len(frames)
@@ -126,7 +126,7 @@ class LeRobotWriter:
         atomic_write(self._folder / INFO, json.dumps(info, indent=1))
 
     def abort(self) -> None:
-        """Give the open file back."""
+        """Close the open file."""
         if self._file is not None:
             self._file.close()
 
@@ -170,7 +170,7 @@ class LeRobotWriter:
 
 
 def read_info(folder: Path) -> Mapping[str, Any]:
-    """Return layout and sources of a dataset of ours, as JSON.
+    """Return layout and sources of a dataset that `bag export` wrote.
 
     Raises:
         DatasetError: It has none.
@@ -182,7 +182,7 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
     """Yield the frames of a dataset, a piece of an episode at a time.
 
     Raises:
-        DatasetError: A file is damaged, or a column has another type or size than the layout says.
+        DatasetError: A file is damaged, or a column contradicts the layout.
     """
     try:
         yield from _read_frames(folder, layout)
@@ -211,7 +211,7 @@ def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file, whose content may take a bounded memory: a short file can unfold to gigabytes."""
+    """Open a Parquet file under a memory limit: a short file can unfold to gigabytes."""
     with open_file(path, math.inf) as (stream, size), limited_memory(MEMORY + 8 * size), pq.ParquetFile(stream) as file:
         yield file
 
@@ -223,7 +223,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def _tasks(task: str) -> pa.Table:
-    """Return the table of tasks, indexed by their names as pandas reads it."""
+    """Return the table of tasks, indexed by name the way pandas does."""
     index, plain = "__index_level_0__", {"metadata": None}
     column = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64", **plain}
     name = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", **plain}

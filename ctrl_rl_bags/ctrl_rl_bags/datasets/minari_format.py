@@ -1,7 +1,7 @@
 """Minari datasets: one HDF5 file of episodes, and metadata in JSON.
 
-An episode has an observation more than actions and rewards; `infos` hold times and outcomes of all observations. The
-layout and what the bags said beside it lie in `metadata.json` under `ctrl_rl`.
+An episode has one more observation than actions and rewards; `infos` hold the times and outcomes of all observations.
+Layout and sources are in `metadata.json` under `ctrl_rl`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from ctrl_rl_core import atomic_write
 
 METADATA, DATA = "data/metadata.json", "data/main_data.hdf5"
 VERSION = "0.5.4"
-"""Version of Minari whose files these are."""
+"""Version of Minari that defines this format."""
 _OBSERVATION = "observation."
 _INFOS = (STAMP, LOG_TIME, OUTCOME)
 _PIECE = 1000
@@ -104,7 +104,7 @@ class MinariWriter:
         self._episodes = self._steps = 0
 
     def write(self, frames: Frames) -> None:
-        """Append frames; those of an episode follow each other."""
+        """Append frames, episode by episode."""
         if self._group is None:
             self._group = self._file.create_group(f"episode_{frames.episode}", track_order=True)
             self._group.attrs.update({"id": frames.episode, "source": frames.source})
@@ -160,14 +160,14 @@ class MinariWriter:
         atomic_write(self._folder / METADATA, json.dumps(metadata, indent=1))
 
     def abort(self) -> None:
-        """Give the open file back."""
+        """Close the open file."""
         with suppress(OSError, RuntimeError):  # of a file that is incomplete
             self._file.close()
         self._disk.close()
 
 
 def read_info(folder: Path) -> Mapping[str, Any]:
-    """Return layout and sources of a dataset of ours, as JSON.
+    """Return layout and sources of a dataset that `bag export` wrote.
 
     Raises:
         DatasetError: It has none.
@@ -179,7 +179,7 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
     """Yield the frames of a dataset, a piece of an episode at a time.
 
     Raises:
-        DatasetError: The file is damaged, or an array has another type or size than the layout says.
+        DatasetError: The file is damaged, or an array contradicts the layout.
     """
     try:
         yield from _read_frames(folder, layout)
@@ -235,14 +235,14 @@ def _array(group: h5py.Group, name: str, column: Column) -> h5py.Dataset:
 
 
 def _member(group: h5py.Group, name: str, kind: type) -> Any:
-    """Return a member of a group that lies in the same file."""
+    """Return a member of a group, which must be in the same file."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], kind):
         raise DatasetError(f"has no {group.name.rstrip('/')}/{name}")
     return group[name]
 
 
 def _append(group: h5py.Group, name: str, values: NDArray[np.generic], whole: bool) -> None:
-    """Append rows to an array; `whole` says that there will be no more than these."""
+    """Append rows to an array; `whole` tells that no more will follow."""
     if whole:
         group.create_dataset(name, data=values)
         return

@@ -1,4 +1,4 @@
-"""Options that all commands share which read drives from bags: topics, beams and clock."""
+"""Options of all commands that read drives from bags, and the topics that they choose."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _COMMANDS = ("cmd_vel", "rotor_thrusts")
 
 @dataclass(frozen=True)
 class ExtractionOptions:
-    """What is taken from bags.
+    """What to extract from bags.
 
     Attributes:
         robot: Namespace of the topics; none where it is empty.
@@ -44,7 +44,7 @@ class ExtractionOptions:
         beams: Number of beams that scans are brought to; None for that of the first scan.
         clock: `header` for the messages' stamps; `log` for the times of reception, on the clock of the scans.
         period: Length of a step [s]; None for a step from each scan to the next.
-        even: Whether steps that are not as long as the others part a drive.
+        even: Whether to cut a drive at steps of another length.
     """
 
     robot: str = ""
@@ -68,7 +68,7 @@ class ExtractionOptions:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Topics of a bag by what they are, and the type of its commands."""
+    """Topics of a drive by role, and the type of its commands."""
 
     topics: dict[str, str]
     command: str
@@ -76,7 +76,7 @@ class Wiring:
 
 
 def find_topics(bag: Bag, options: ExtractionOptions) -> Wiring:
-    """Return which topics of a bag hold what.
+    """Find a drive's topics in a bag.
 
     Raises:
         BagError: There are no scans, odometry or commands.
@@ -97,13 +97,13 @@ def find_topics(bag: Bag, options: ExtractionOptions) -> Wiring:
 
 
 def _missing(bag: Bag, topic: str, option: str, *kinds: str) -> str:
-    """Return a topic that is missing, and the topics that may be named in its place."""
+    """Name a missing topic, its type, and an option that names another one."""
     others = [printable(name) for name, each in sorted(bag.topics.items()) if each.type in kinds]
     return f"{topic} ({', '.join(kinds)}{f': {option} {others[0]}' if others else ''})"
 
 
 def find_task(bag: Bag) -> str:
-    """Return the task that a node of the recording had as a parameter."""
+    """Return the task that a recorded node had as a parameter."""
     for key, text in sorted(bag.info.custom_data.items()):
         if key.startswith("parameters."):
             with suppress(ValueError, AttributeError):
@@ -114,13 +114,13 @@ def find_task(bag: Bag) -> str:
 
 
 TASK_DIGEST = "digest.task"
-"""Key of a bag's custom data under which the recorder keeps the digest of the task that was driven."""
+"""Key in a bag's custom data under which the recorder keeps the task's digest."""
 _SHOWN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """Topics of a drive in a bag, beams of its scans, and the clock of its messages."""
+    """Which topics, beams and clock to take from bags."""
 
     robot: str = ""
     """Namespace of the topics in the bags; none unless given."""
@@ -131,12 +131,12 @@ class DriveOptions:
     commands: str = ""
     """Topic of the commands (default: cmd_vel, or else rotor_thrusts)."""
     beams: at_least(1) | None = None  # type: ignore[valid-type]
-    """Number of beams that all scans are brought to (default: that of the first scan)."""
+    """Number of beams to resample all scans to (default: that of the first scan)."""
     clock: Annotated[Clock, one_of(get_args(Clock))] = "header"
-    """Time of messages: their stamps, or log, the times at which they were received."""
+    """Time of messages: header for their stamps, log for the times of reception."""
 
     def extraction(self, **more: Any) -> ExtractionOptions:
-        """Return these options for `extract`, and more of its own."""
+        """Return the options of `extract`, with `more` of them."""
         return ExtractionOptions(
             robot=self.robot,
             scan=self.scan,
@@ -150,24 +150,24 @@ class DriveOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskDriveOptions(DriveOptions):
-    """The same, of a task's drives."""
+    """Options for drives of one task."""
 
     other_task: bool = False
-    """Take bags of another task, or of another version of it, too."""
+    """Also accept bags of another task, or of another version of it."""
 
 
 def check_task(
     bag: Path | str, custom_data: Mapping[str, str], task: str, digest: str, *, allowed: bool, tell: Tell = warn
 ) -> None:
-    """Refuse a bag in which another task was driven; one that names none is taken.
+    """Refuse a bag that was recorded in another task; accept one that names no task.
 
     Args:
         bag: Bag whose task is compared.
         custom_data: Its custom data.
         task: Name of the task that is learnt.
         digest: Digest of that task.
-        allowed: Whether a line takes the place of the refusal.
-        tell: Takes that line; warns unless given.
+        allowed: Whether to tell a line instead of refusing.
+        tell: Called with that line; a Python warning by default.
 
     Raises:
         BagError: The digests differ.
@@ -185,5 +185,5 @@ def check_task(
 
 
 def print_note(command: str, line: str) -> None:
-    """Print what was left out of bags on stderr."""
+    """Print a note of a command on stderr."""
     sys.stderr.write(f"{command}: {line}\n")

@@ -1,4 +1,4 @@
-"""Arrays of the messages that frames are made from."""
+"""Reads arrays from the messages of a drive."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _COLOURS = {
 }
 """Channels of a picture's encoding, and where red, green and blue are among them."""
 _SAME_ANGLE = 1e-3
-"""Angles of two scans that differ by less have the same beams [rad]."""
+"""Scans whose angles differ by less have the same beams [rad]."""
 _SAME_FIELD = 0.1
-"""Fields of view of two scans that differ by less are of one lidar, whose beams vary [rad]."""
+"""Scans whose fields of view differ by less are from one lidar with a varying number of beams [rad]."""
 
 
 def stamp_of(message: Any) -> int:
@@ -45,7 +45,7 @@ def read_command(message: Any, kind: str) -> Array | None:
 
 
 def read_goal(message: Any) -> Array:
-    """Return position and attitude of a goal (7,); NaN where it is no pose."""
+    """Return position and attitude of a goal (7,); NaN if it is not a pose."""
     try:
         return core_read_goal(message.pose)
     except PoseError:
@@ -53,7 +53,7 @@ def read_goal(message: Any) -> Array:
 
 
 def no_goal() -> Array:
-    """Return what stands where there is no goal (7,)."""
+    """Return the row that stands for no goal (7,): NaN."""
     return np.full(len(GOAL_NAMES), math.nan)
 
 
@@ -61,7 +61,7 @@ def read_image(message: Any, layout: ImageLayout | None, what: str) -> NDArray[n
     """Return a picture (height, width, 3), red first.
 
     Raises:
-        BagError: Its encoding is unknown, it has another size than the first, or fewer bytes than it says.
+        BagError: Its encoding is unknown, its size differs from the first, or bytes are missing.
     """
     height, width, encoding = int(message.height), int(message.width), str(message.encoding)
     if encoding not in _COLOURS:
@@ -77,14 +77,14 @@ def read_image(message: Any, layout: ImageLayout | None, what: str) -> NDArray[n
 
 
 class ScanColumn:
-    """Brings the scans of a dataset onto the beams of the first one.
+    """Resamples the scans of a dataset to the beams of the first one.
 
     Attributes:
         layout: Beams of all scans; None before the first.
     """
 
     def __init__(self, beams: int | None, layout: ScanLayout | None = None) -> None:
-        """Take the beams that scans are brought to.
+        """Set the beams to resample to.
 
         Args:
             beams: Their number; None for that of the first scan.
@@ -94,11 +94,11 @@ class ScanColumn:
         self._beams = beams
 
     def read(self, message: Any, what: str) -> NDArray[np.float32]:
-        """Return the ranges (beams,) [m] of a scan; a lidar's beams may vary, as those of an LDS-02 do.
+        """Return the ranges (beams,) [m] of a scan; some lidars, such as the LDS-02, vary their number of beams.
 
         Raises:
-            BagError: The scan looks in other directions than the first, and no number of beams was asked for.
-            ScanError: It is no scan of any lidar.
+            BagError: The scan has another field of view than the first, and no number of beams was given.
+            ScanError: The scan is invalid.
         """
         ranges, scan = read_scan(message)
         scan.check()

@@ -1,4 +1,4 @@
-"""Bags from frames: the messages from which `extraction` makes the same frames again, bit for bit."""
+"""Writes bags from frames; `extraction` makes the same frames from them again, bit for bit."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OWN = (REWARD_TYPE, EPISODE_TYPE, "ctrl_rl_msgs/msg/RotorThrusts")
 
 
 class MessageMaker:
-    """Makes the CDR bytes of messages, all stamped in one frame.
+    """Makes the CDR bytes of messages.
 
     Args:
         odometry_frame: Frame of odometry and goals.
@@ -93,13 +93,13 @@ class MessageMaker:
         return self._bytes(GOAL_TYPE, self._header(stamp, self._odometry_frame), self._pose(it[:3], it[3:]))
 
     def reward(self, stamp: int, reward: float, outcome: int) -> bytes:
-        """Return a TaskReward, its time to reach unknown."""
+        """Return a TaskReward with an unknown time to reach."""
         return self._bytes(
             REWARD_TYPE, self._header(stamp, self._odometry_frame), self._outcome(outcome), reward, float("nan")
         )
 
     def episode(self, stamp: int, number: int, outcome: int, seed: int = 0, elapsed: float = 0.0) -> bytes:
-        """Return an EpisodeStatus; what it says of clearance and progress is unknown."""
+        """Return an EpisodeStatus with unknown clearance and progress."""
         nothing = float("nan")
         return self._bytes(
             EPISODE_TYPE,
@@ -143,7 +143,7 @@ _LATEST = 2**62
 
 
 def rebuild(frames: Iterator[Frames], layout: Layout, folder: Path, robot: str) -> tuple[int, int, int]:
-    """Write bags `bag_0` and so on into a folder; return their episodes, frames and bytes of messages.
+    """Write bags `bag_0`, `bag_1` ... into a folder; return the numbers of episodes, frames and bytes.
 
     Raises:
         DatasetError: Times of the frames do not rise.
@@ -169,7 +169,7 @@ def rebuild(frames: Iterator[Frames], layout: Layout, folder: Path, robot: str) 
 
 
 class DriveWriter:
-    """Writes a bag of drives from frames.
+    """Writes frames as a bag.
 
     Args:
         folder: The bag, which must not exist.
@@ -198,7 +198,7 @@ class DriveWriter:
         self._goal: bytes = b""
 
     def write(self, frames: Frames) -> None:
-        """Append frames; those of an episode follow each other.
+        """Append frames, episode by episode.
 
         Raises:
             DatasetError: Their times do not rise.
@@ -213,7 +213,7 @@ class DriveWriter:
             self._began = None
 
     def close(self) -> int:
-        """Finish the bag and return the bytes of its messages; a second call does nothing."""
+        """Finish the bag and return the size of its messages [bytes]; may be called twice."""
         self._writer.close()
         return self._writer.bytes_received
 

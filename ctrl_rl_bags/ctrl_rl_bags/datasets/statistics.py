@@ -1,4 +1,4 @@
-"""Statistics of a column while it is written, without keeping it."""
+"""Running statistics of a column."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 
 class Statistics:
-    """Least, largest, mean and spread of each component; numbers that are not finite are left out.
+    """Minimum, maximum, mean and standard deviation of each component, of finite values only.
 
-    Of pictures, each colour is one component.
+    A picture's components are its colours.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Statistics:
         self._most = np.maximum(self._most, np.where(known, numbers, -np.inf).max(axis=0))
 
     def summary(self) -> dict[str, list[float]]:
-        """Return the figures as JSON; 0 where there was no finite number."""
+        """Return the statistics for JSON; 0 where no value was finite."""
         if self._count is None:
             return {}
         none = self._count == 0

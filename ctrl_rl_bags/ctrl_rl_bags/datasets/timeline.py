@@ -1,4 +1,4 @@
-"""What is known at each scan of a bag but the scan itself: which scans are frames, and what was done between two."""
+"""What is known at each scan, apart from the scan: which scans are frames, and what happened between them."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ Times = NDArray[np.int64]
 
 _ALWAYS = np.iinfo(np.int64).min
 _SLOWER = 1.25
-"""Scans that come so much more seldom than steps show no steps."""
+"""Ratio of scan interval to step above which scans are too rare for the steps."""
 
 _SELDOM_NS = 150_000_000
-"""Odometry that comes more seldom does not tell the twist between two messages, only at them."""
+"""Interval above which the twist between two odometry messages is unknown [ns]."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """Frames of a bag in their order, each with what was commanded, paid and reached since the one before.
+    """Frames of a bag in order, each with the command, reward and outcome since the previous frame.
 
     Attributes:
-        begins: Whether an episode begins with the frame (n,); commands, rewards and outcomes of such mean nothing.
+        begins: Whether the frame begins an episode (n,); its command, reward and outcome mean nothing then.
         times: Times of the scans on the bag's clock (n,) [ns].
         log: When they were received (n,) [ns].
         stamps: Their stamps (n,) [ns].
@@ -64,19 +64,19 @@ class Timeline:
 
     @classmethod
     def joined(cls, parts: list[Timeline]) -> Timeline:
-        """Return timelines one after the other."""
+        """Concatenate timelines."""
         return cls(**{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)})
 
 
 @dataclass(frozen=True)
 class Read:
-    """Timelines of a bag, and what was found about its scans.
+    """Timelines of a bag, and facts about its scans.
 
     Attributes:
-        parts: A timeline for each run of the bag's clock, without those that have no frame.
+        parts: One timeline per run of the bag's clock; runs without frames are left out.
         scans: Number of scans.
         left_out: Scans in no episode.
-        beams: Least and largest number of beams.
+        beams: Minimum and maximum number of beams.
         delay: Median time from a scan to the command that follows it [s]; NaN without commands.
     """
 
@@ -88,7 +88,7 @@ class Read:
 
 
 def read_timeline(bag: Bag, wiring: Wiring, options: ExtractionOptions, pictures: bool, tell: Tell) -> Read:
-    """Return the frames of a bag without their scans.
+    """Read the frames of a bag, apart from their scans.
 
     Args:
         bag: Bag that is open.
@@ -98,7 +98,7 @@ def read_timeline(bag: Bag, wiring: Wiring, options: ExtractionOptions, pictures
         tell: Takes lines about what was left out.
 
     Raises:
-        BagError: The bag is damaged, two clocks differ, or its scans come too seldom.
+        BagError: The bag is damaged, two clocks differ, or its scans are too rare.
     """
     wanted = {name: topic for name, topic in wiring.topics.items() if name != "image" or pictures}
     extractors = {topic: _EXTRACTORS[name](wiring) for name, topic in wanted.items()}
@@ -138,7 +138,7 @@ class _Run:
         self._outcomes, self._rewards = self._paid()
 
     def timeline(self) -> tuple[Timeline | None, int]:
-        """Return the frames, None where there are none, and the number of scans in their episodes."""
+        """Return the frames, or None, and the number of scans in their episodes."""
         if len(self._times) < 2:
             return None, 0
         self._check_twist()
@@ -150,7 +150,7 @@ class _Run:
         return (Timeline.joined(parts) if parts else None), count
 
     def _check_twist(self) -> None:
-        """Refuse odometry whose twist does not explain how its pose moves."""
+        """Refuse odometry whose twist contradicts its pose."""
         odometry, health = self._series["odom"], OdometryHealth()
         if len(odometry.times) < 2 or np.median(np.diff(odometry.times)) > _SELDOM_NS:
             return
@@ -172,7 +172,7 @@ class _Run:
         return np.where(last < 0, -1, numbers[known]), np.where(last < 0, _ALWAYS, began[known])
 
     def _paid(self) -> tuple[Times, Array]:
-        """Return outcome and reward at each scan."""
+        """Return the latest outcome and reward at each scan."""
         rewards = np.full((len(self._times), 2), (np.nan, 0.0))
         if (series := self._series.get("reward")) is not None and len(series.times):
             last = latest(series, self._times)
@@ -185,7 +185,7 @@ class _Run:
         return outcomes, rewards[:, 0]
 
     def _pieces(self) -> list[NDArray[np.intp]]:
-        """Return the scans of each episode that has no gap; its last one may have an outcome."""
+        """Return the scans of each gapless episode; only the last may have an outcome."""
         times = self._times
         usable = np.isfinite(self._odometry).all(axis=1)
         usable &= np.append(True, times[1:] > np.maximum.accumulate(times)[:-1])
@@ -207,7 +207,7 @@ class _Run:
         return np.split(np.arange(len(times)), np.flatnonzero(~joined) + 1)
 
     def _spaced(self, piece: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-        """Return the scans of an episode that are a step apart, cut where none is."""
+        """Pick the scans of an episode that are one step apart; cut where there is none."""
         period = self._options.period
         usual = float(np.median(np.diff(self._times[piece]))) * 1e-9
         if period is None and not self._options.even:
@@ -250,7 +250,7 @@ class _Run:
         )
 
     def _outcome_after(self, row: int) -> int:
-        """Return the outcome that became known after the last scan of an episode; 0 for none."""
+        """Return an outcome published after the last scan of an episode; 0 if there was none."""
         series = self._series.get("episode")
         if series is None or not len(series.times):
             return 0
@@ -265,7 +265,7 @@ class _Run:
 
 
 def _count(flags: NDArray[np.bool_]) -> int:
-    """Return how often flags are raised, however long they stay."""
+    """Count the runs of consecutive raised flags."""
     return int(flags[0]) + int((np.diff(flags.astype(np.int8)) > 0).sum())
 
 
@@ -298,4 +298,4 @@ _EXTRACTORS: Mapping[str, Callable[[Wiring], Extractor]] = {
     "episode": lambda _: Extractor(lambda message: (message.episode, message.outcome.value), _PAID),
     "image": lambda _: Extractor(lambda _: (0.0,), ("picture",)),
 }
-"""How each topic of a drive is read."""
+"""Extractor of each topic of a drive."""

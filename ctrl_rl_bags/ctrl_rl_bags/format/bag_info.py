@@ -25,7 +25,7 @@ class TopicInfo:
 class BagInfo:
     """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum.
 
-    Notes say in what its metadata.yaml differs from the files, which are believed.
+    `notes` tell where metadata.yaml contradicts the files; the files are believed.
     """
 
     folder: Path
@@ -40,19 +40,19 @@ class BagInfo:
 
 
 def is_bag_file(path: Path) -> bool:
-    """Return whether a file is named as one with messages."""
+    """Return whether a file's name is that of a bag file."""
     return path.suffix in (".mcap", ".db3")
 
 
 def recover_hint(bag: Path | str) -> str:
-    """Return the advice of an error to use `bag recover`; empty where that cannot help."""
+    """Return the advice to use `bag recover`, for the end of an error; empty where that cannot help."""
     path = Path(bag)
     mendable = any(map(is_bag_file, path.iterdir())) if path.is_dir() else is_bag_file(path)
     return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
 
 
 def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
-    """Complete a file of another writer from metadata.yaml."""
+    """Fill in the type hash and QoS that another writer's file lacks from metadata.yaml."""
     also = offered.get(topic.name)
     if also is None:
         return topic
@@ -61,12 +61,12 @@ def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
 
 
 def compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> list[str]:
-    """Return in what a metadata.yaml differs from the files, as those of genuine recorders do.
+    """Return harmless differences between metadata.yaml and the files, one line each.
 
-    Recorders of Foxy and Humble keep the times of the last split alone; `ros2 bag reindex` drops empty topics.
+    Foxy and Humble record the times of the last split only; `ros2 bag reindex` drops empty topics.
 
     Raises:
-        BagError: Messages are missing, or of another type: the files, which have checksums, are not those of the bag.
+        BagError: Messages are missing or have another type, so these are not the bag's files.
     """
     said = {
         it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count

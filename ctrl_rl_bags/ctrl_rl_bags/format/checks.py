@@ -1,6 +1,6 @@
 """Checks of bags that may be hostile: errors, regular files only, and YAML of a bounded size and depth.
 
-A bag's YAML may be longer than what people write, `checked_yaml`: it holds the parameters of all nodes.
+A bag's YAML may be longer than `checked_yaml` allows: it holds the parameters of all nodes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class DamagedError(BagError):
 
 
 def reason(error: Exception) -> str:
-    """Return any error as a part of one printable line."""
+    """Format any error as part of one printable line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return printable(" ".join(str(error)[: 10 * _LONGEST_REASON].split()) or type(error).__name__)
@@ -39,7 +39,7 @@ def reason(error: Exception) -> str:
 
 @contextmanager
 def fields_of(what: str) -> Iterator[None]:
-    """Refuse a message whose fields are not those of its type's name: a bag defines its types itself.
+    """Turn errors about missing or odd fields into a BagError: a bag defines its types itself.
 
     Raises:
         BagError: Begins with `what`.
@@ -51,13 +51,13 @@ def fields_of(what: str) -> Iterator[None]:
 
 
 def printable(text: str, longest: int = _LONGEST_REASON) -> str:
-    """Return a text of a bag as it may be printed: of a bounded length, without line breaks and escapes."""
+    """Make a text from a bag safe to print: bounded length, no line breaks, no escapes."""
     return one_line(text, longest)
 
 
 @contextmanager
 def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[BinaryIO, int]]:
-    """Open a regular file and give it and its size [bytes].
+    """Open a regular file; yield it and its size [bytes].
 
     Raises:
         DamagedError: It is no regular file, or larger than `largest` [bytes].
@@ -85,7 +85,8 @@ def parse_yaml(text: str | bytes) -> Any:
     """Return the content of a YAML text.
 
     Raises:
-        DamagedError: It is no YAML, too large or too deep, or has aliases, which let a short text unfold without end.
+        DamagedError: It is not YAML, too large or too deep, or has aliases, with which a short text can unfold
+        endlessly.
     """
     if len(text) > _LARGEST_YAML:
         raise DamagedError(f"it has {len(text):,} characters, where at most {_LARGEST_YAML:,} are read")

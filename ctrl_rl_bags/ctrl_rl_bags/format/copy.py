@@ -1,4 +1,4 @@
-"""Copies a bag message by message, as it was on the wire, and lets somebody add to it on the way."""
+"""Copies a bag message by message, byte for byte, and lets a caller add messages on the way."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ctrl_rl_bags.format.writer import BagWriter
 def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
     """Yield every message of a bag, file by file in the order of their log time.
 
-    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+    sqlite3 bags store neither publication time nor sequence number: the log time and 0 take their place.
 
     Raises:
         BagError: The bag cannot be read, or a checksum in it is wrong.

@@ -1,4 +1,4 @@
-"""The index of an MCAP file: its topics, chunks and counts, from its summary or, without one, from all of it."""
+"""The index of an MCAP file: topics, chunks and counts, from its summary or, without one, from a scan of the file."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class McapIndex:
         self._data_at = self._stream.tell()
 
     def _read_summary(self, footer: bytes) -> bool:
-        """Read topics and chunks, and return whether the summary names them all."""
+        """Read topics and chunks; return False if the summary does not list all of them."""
         self._stream.seek(self._summary_at)
         summary = read_exactly(self._stream, self._footer_at - self._summary_at, self._limits.index_bytes)
         if self.summary_crc and zlib.crc32(footer, zlib.crc32(summary)) != self.summary_crc:
@@ -169,7 +169,7 @@ class McapIndex:
         self.chunk_channels.append(self._same(channels) if channels else None)
 
     def _same(self, channels: frozenset[int]) -> frozenset[int] | None:
-        """Return one shared object for equal sets; None, for any channel, when there are too many sets."""
+        """Return one shared object for equal sets; None, which stands for any channel, after too many sets."""
         if channels not in self._channel_sets:
             self._channel_set_items += len(channels)
             if self._channel_set_items > _MOST_CHANNEL_SETS:
@@ -178,7 +178,7 @@ class McapIndex:
         return self._channel_sets[channels]
 
     def _add_topic(self, opcode: int, content: bytes) -> None:
-        """Take a schema, a channel or custom data; nothing of any other record."""
+        """Store a schema, a channel or custom data; ignore any other record."""
         record = parse(opcode, content)
         if record is None:
             return
@@ -194,7 +194,7 @@ class McapIndex:
             raise DamagedError(f"it has two {type(record).__name__.lower()}s with the number {record.id}")
 
     def _scan(self) -> None:
-        """Find topics and chunks where there is no summary."""
+        """Collect topics and chunks by reading the whole file."""
         counts: Counter[int] = Counter()
         first, last = list[int](), list[int]()
         self.schemas, self.channels, self._topics_bytes = {}, {}, 0
@@ -227,7 +227,7 @@ class McapIndex:
         self.counts, self.start, self.end = dict(counts), *(first or [0]), *(last or [0])
 
     def data_section(self) -> Iterator[tuple[int, bytes]]:
-        """Yield all records before the summary; those that are not needed have empty content."""
+        """Yield all records before the summary, the unneeded ones with empty content; check the data's checksum."""
         self._stream.seek(0)
         crc = zlib.crc32(self._stream.read(self._data_at))
         position = self._data_at

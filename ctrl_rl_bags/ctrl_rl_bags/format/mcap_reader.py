@@ -1,4 +1,4 @@
-"""Reads one MCAP file in the order of its log time, within bounds, and checks each checksum of what it reads."""
+"""Reads one MCAP file in log-time order, in bounded memory, and checks every checksum on the way."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
 _Names = dict[int, tuple[str, str]]
 """Topic and type by channel."""
 _Waiting = list[tuple[int, int, SerializedMessage, Iterator[SerializedMessage]]]
-"""Open chunks: log time, number of the chunk, the next message, those after it."""
+"""Open chunks: log time of the next message, number of the chunk, that message, an iterator over the rest."""
 
 
 class McapReader:
@@ -98,7 +98,7 @@ class McapReader:
             raise DamagedError("it does not hold as many messages as it says")
 
     def check(self) -> None:
-        """Read the file once, and check all of it that precedes the summary.
+        """Read everything before the summary once, to check it.
 
         Raises:
             DamagedError: The checksum is wrong, or a record is damaged.
@@ -130,7 +130,7 @@ class McapReader:
                     yield SerializedMessage(*names[channel], log_time, publish_time, sequence, data)
 
     def _merged(self, names: _Names, first: int, last: int) -> Iterator[SerializedMessage]:
-        """Yield messages of all chunks in the order of their log time; no chunk is opened before its time."""
+        """Merge the messages of all chunks by log time; a chunk is opened only when its first message is due."""
         chunks, chosen, waiting, opened = self._index.chunks, frozenset(names), _Waiting(), 0
         for number in np.argsort(chunks["start"], kind="stable").tolist():
             channels = self._index.chunk_channels[number]
@@ -152,7 +152,7 @@ class McapReader:
         yield from self._drain(waiting, 1 << 64)
 
     def _drain(self, waiting: _Waiting, stop: int) -> Generator[SerializedMessage, None, int]:
-        """Yield the messages of open chunks that are older than `stop`; return the size of those that are empty now."""
+        """Yield messages of open chunks older than `stop`; return the size of the chunks used up."""
         freed = 0
         while waiting and waiting[0][0] < stop:
             _, number, message, messages = waiting[0]
@@ -166,7 +166,7 @@ class McapReader:
         return freed
 
     def _messages_of(self, number: int, names: _Names, chosen: frozenset[int]) -> Iterator[SerializedMessage]:
-        """Yield the messages of a chunk in the order of their log time."""
+        """Yield a chunk's messages in log-time order."""
         start, end, offset, record_length, size = self._index.chunks[number].item()
         self._stream.seek(offset)
         opcode, length = RECORD.unpack(read_exactly(self._stream, RECORD.size, RECORD.size))

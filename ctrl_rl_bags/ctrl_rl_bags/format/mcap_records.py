@@ -1,4 +1,4 @@
-"""Records and chunks of MCAP files that may be hostile: each size is checked before the content is read.
+"""Records and chunks of possibly hostile MCAP files: every size is checked before the content is read.
 
 The layouts are those of https://mcap.dev/spec.
 """
@@ -29,7 +29,7 @@ OPCODES = {int(opcode) for opcode in Opcode}
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _CHUNK = struct.Struct("<QQQI")
 READ_AT_ONCE = 1 << 20
-"""Bytes of a record that is only skipped or checked, read in one go."""
+"""Block size for reading records that are only skipped or checked [bytes]."""
 _LONGEST_COMPRESSION = 32
 _KINDS: dict[int, type[Schema] | type[Channel] | type[Metadata]] = {
     Opcode.SCHEMA: Schema,
@@ -43,7 +43,7 @@ _BROKEN = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeErro
 
 @dataclass(frozen=True)
 class Limits:
-    """Memory that a bag may take at most.
+    """Memory limits for reading a bag [bytes].
 
     Attributes:
         chunk_bytes: Size of a chunk, uncompressed, and of a message.
@@ -76,7 +76,7 @@ def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
     """Return the next bytes of a file.
 
     Raises:
-        DamagedError: There are fewer, or more than the limit are asked for.
+        DamagedError: The file ends early, or `size` exceeds the limit.
     """
     if size > limit:
         raise DamagedError(f"a record of {size:,} bytes, where at most {limit:,} are read")
@@ -90,7 +90,7 @@ def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
     """Return a schema, a channel or a metadata record; None for any other.
 
     Raises:
-        DamagedError: The content does not fit the kind of record.
+        DamagedError: The content cannot be parsed.
     """
     kind = _KINDS.get(opcode)
     try:
@@ -104,10 +104,10 @@ def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
 
     Args:
         content: Content of the chunk's record.
-        whole: Whether the chunk is complete; the data of a torn one ends early.
+        whole: Whether the chunk is complete, so that its data must have the stated length.
 
     Raises:
-        DamagedError: The chunk is too short to have it.
+        DamagedError: The chunk is too short, or its data has another length.
     """
     try:
         start, end, size, crc = _CHUNK.unpack_from(content)
@@ -143,7 +143,7 @@ def decompress(content: bytes, limit: int) -> bytes:
 
 
 def decompress_some(compression: str, data: bytes, size: int) -> bytes:
-    """Return at most `size + 1` bytes of compressed data; of data that was cut off, the part that can be decompressed.
+    """Decompress at most `size + 1` bytes; of data that was cut off, as much as possible.
 
     Raises:
         DamagedError: The data is broken, or its compression unknown.

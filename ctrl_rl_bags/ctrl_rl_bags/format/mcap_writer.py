@@ -1,4 +1,4 @@
-"""One MCAP file being written: small compressed chunks that reach the operating system when the caller flushes.
+"""Writes one MCAP file in small compressed chunks, which reach the operating system when the caller flushes.
 
 The record layouts other than the two on the hot path (message, message index) are the mcap library's. Its own writer
 takes 3-6 us of Python a message and 1 MiB chunks (test/benchmarks/recorder_throughput.py).
@@ -43,7 +43,7 @@ _INDEX = struct.Struct("<BQHI")
 
 
 class McapFile:
-    """Writes one .mcap file, profile `ros2`. Nothing is closed by itself: call `close` or `abort`.
+    """Writes one .mcap file with profile `ros2`. The caller must call `close` or `abort`.
 
     After an OSError the file is cut back to its last complete record; `close` may then still succeed.
     """
@@ -74,11 +74,11 @@ class McapFile:
 
     @property
     def message_counts(self) -> dict[str, int]:
-        """The same by topic."""
+        """Messages in complete chunks, by topic."""
         return {self._channels[channel].topic: count for channel, count in self._counts.items()}
 
     def add_topic(self, topic: Topic) -> int:
-        """Write a topic's schema and channel and return the channel's number for `write`."""
+        """Write a topic's schema and channel; return the channel number that `write` needs."""
         records = b""
         if topic.type not in self._schemas:
             schema = Schema(
@@ -116,7 +116,7 @@ class McapFile:
         self._metadata_indexes.append(MetadataIndex(offset=self.size - len(record), length=len(record), name=name))
 
     def flush(self) -> None:
-        """Hand the open chunk to the operating system: from then on, it survives the death of this process."""
+        """Hand the open chunk to the operating system; from then on it survives the death of this process."""
         if not self._indexes:
             return
         raw, indexes = self._chunk, self._indexes
@@ -164,11 +164,11 @@ class McapFile:
         self.end = chunk.message_end_time if self.end is None else max(self.end, chunk.message_end_time)
 
     def fileno(self) -> int:
-        """Return the file's descriptor, for fsync."""
+        """File descriptor, for fsync."""
         return self._file.fileno()
 
     def finish(self) -> None:
-        """Write the open chunk and the summary; the file is then complete, and only `close` may follow."""
+        """Write the open chunk and the summary. The file is then complete; only `close` may follow."""
         self.flush()
         data_end = _bytes(DataEnd(self._crc))
         start = self.size + len(data_end)
@@ -197,7 +197,7 @@ class McapFile:
             self._file.close()
 
     def abort(self) -> None:
-        """Close the file as it is."""
+        """Close the file without a summary."""
         self._file.close()
 
     def _append(self, data: bytes) -> None:

@@ -20,12 +20,12 @@ METADATA_FILE = "metadata.yaml"
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
 CUSTOM_DATA_RECORD = "custom_data"
-"""Name of the MCAP metadata records that hold the bag's custom data, so that a bag cut off keeps them."""
+"""Name of the MCAP metadata records that hold the bag's custom data; a bag that is cut off keeps them."""
 NO_TIME = 2**63 - 1
 """Starting time of a bag without messages, as rosbag2 writes it."""
 
 Qos = Mapping[str, Any]
-"""One offered quality of service profile: the keys and texts that rosbag2 writes from version 9 on."""
+"""One offered QoS profile, with the keys and values that rosbag2 writes since version 9."""
 
 
 class _Nanoseconds(BaseModel):
@@ -50,7 +50,7 @@ class _TopicCount(BaseModel):
 
 
 class BagMetadata(BaseModel):
-    """The keys of metadata.yaml, versions 1 to 9, that are read; the names are rosbag2's."""
+    """The keys of metadata.yaml (versions 1 to 9) that we read, under rosbag2's names."""
 
     version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
     storage_identifier: Literal["mcap", "sqlite3", ""]
@@ -91,9 +91,9 @@ class Topic:
 
 
 def name_of_other_type(topic: str, kind: str) -> str:
-    """Return the name under which a bag keeps a topic's messages of another type than its first.
+    """Return the name under which a bag keeps messages whose type differs from their topic's first.
 
-    rosbag2 wants one type for each topic.
+    rosbag2 allows one type per topic.
     """
     return f"{topic}/as/{kind.replace('/msg/', '/')}"
 
@@ -183,14 +183,14 @@ def read_metadata(folder: Path) -> BagMetadata:
 
 
 def _plain(qos: Sequence[Qos]) -> list[dict[str, Any]]:
-    """Copy profiles so deeply that YAML finds no object twice, which it would write as an alias."""
+    """Deep-copy profiles, so that YAML never sees one object twice and writes no alias."""
     return [copy.deepcopy(dict(profile)) for profile in qos]
 
 
 class SerializedMessage(NamedTuple):
-    """One message as it was on the wire: times [ns since the epoch], the publisher's count, CDR bytes.
+    """One message as on the wire: times [ns since the epoch], the publisher's sequence number, CDR bytes.
 
-    An sqlite3 bag knows neither publication times nor counts: there they are the log time and 0.
+    sqlite3 bags store neither publication time nor sequence number: the log time and 0 take their place.
     """
 
     topic: str
@@ -223,7 +223,7 @@ def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
 
 
 def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
-    """Return the QoS profiles that publishers offered, in the words of metadata version 9; none if they make no sense.
+    """Return offered QoS profiles in the form of metadata version 9; empty if they cannot be parsed.
 
     Args:
         profiles: YAML text, or its content.

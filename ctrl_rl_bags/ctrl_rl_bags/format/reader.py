@@ -1,7 +1,7 @@
-"""Reads rosbag2 folders, MCAP or the older sqlite3, without an installed ROS: the bag's own definitions are used.
+"""Reads rosbag2 folders, MCAP or the older sqlite3, without ROS: messages are decoded by the bag's own definitions.
 
-What a bag says is checked before it is believed: the memory it takes is bounded (`Limits`), each checksum that it has
-is checked, and `metadata.yaml` must agree with the files.
+Nothing in a bag is trusted: memory is bounded (`Limits`), every checksum is checked, and `metadata.yaml` must agree
+with the files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ctrl_rl_bags.format.sqlite_reader import SqliteReader, with_log
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _NOT_MENDED = ("git lfs", "not of ROS 2")
-"""Words of errors that `bag recover` cannot mend."""
+"""Errors with these words are beyond `bag recover`."""
 _ROS1_MAGIC, _ZSTD_MAGIC = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
 
 
@@ -53,7 +53,7 @@ class Bag:
         path: Folder or file of the bag.
         info: Files, times, topics and counts of the bag.
         topics: Topics by name, with their definitions.
-        bytes_read: Size of the messages that were given so far.
+        bytes_read: Size of all messages read so far [bytes].
     """
 
     def __init__(self, path: Path, limits: Limits, stack: ExitStack) -> None:
@@ -89,7 +89,7 @@ class Bag:
     def messages(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
     ) -> Iterator[SerializedMessage]:
-        """Yield messages as they were on the wire, file by file in the order of their log time.
+        """Yield serialized messages, file by file, in log-time order.
 
         Args:
             topics: Names to read; all if empty.
@@ -130,7 +130,7 @@ class Bag:
             yield BagMessage(message.topic, message.type, message.log_time, data)
 
     def check(self) -> None:
-        """Check all of the bag that has a checksum and that `messages` does not check.
+        """Check the checksums that `messages` does not.
 
         Raises:
             BagError: The bag is damaged.
@@ -140,7 +140,7 @@ class Bag:
                 source.check()
 
     def types(self, topics: Iterable[str] = ()) -> BagTypes:
-        """Return the decoder of the messages of some topics, all if empty.
+        """Return a decoder for some topics; for all if empty.
 
         Raises:
             BagError: A definition is missing or wrong.
@@ -155,7 +155,7 @@ class Bag:
             raise BagError(f"{self.path}: {error}") from None
 
     def _find(self, folder: Path, name: str) -> Path:
-        """Return the file that metadata.yaml names: it may have been compressed or uncompressed since."""
+        """Find a file that metadata.yaml names, even if somebody compressed or uncompressed it since."""
         for other in (name, f"{name}.zstd", name.removesuffix(".zstd")):
             if (folder / other).exists():
                 if other != name:
@@ -164,7 +164,7 @@ class Bag:
         return folder / name
 
     def _add_logs(self, stack: ExitStack) -> None:
-        """Add what a recorder that was killed left in write-ahead logs, to copies of the files."""
+        """Merge the write-ahead logs of a killed recorder into copies of the files."""
         for number, file in enumerate(self._files):
             log = file.with_name(f"{file.name}-wal")
             if log.exists() and log.stat().st_size:
@@ -226,7 +226,7 @@ class Bag:
         )
 
     def _uncompress(self, metadata: BagMetadata, stack: ExitStack) -> None:
-        """Prepare a bag that rosbag2 compressed file by file or message by message."""
+        """Prepare a bag that rosbag2 compressed by file or by message."""
         kind, mode = str(metadata.compression_format), str(metadata.compression_mode).lower()
         if kind != "zstd" or mode not in ("file", "message"):
             raise BagError(
@@ -280,7 +280,7 @@ def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator
 def read_messages(
     bag: Path | str | Bag, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
 ) -> Iterator[BagMessage]:
-    """Yield the decoded messages of a folder or file; arguments and errors are those of `Bag.messages`."""
+    """Yield decoded messages of a bag; arguments and errors as in `Bag.messages`."""
     with open_bag(bag) as opened:
         yield from opened.decoded(topics, start, stop)
 
@@ -292,7 +292,7 @@ def read_raw(
     stop: int | None = None,
     limits: Limits = DEFAULT_LIMITS,
 ) -> Iterator[SerializedMessage]:
-    """As `read_messages`, without decoding; five times as fast."""
+    """Like `read_messages`, but serialized, which is five times as fast."""
     with open_bag(bag, limits) as opened:
         yield from opened.messages(topics, start, stop)
 
@@ -308,7 +308,7 @@ def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
 
 
 def _storage_of(path: Path) -> str:
-    """Return the storage of a single file, by its first bytes."""
+    """Tell a file's storage by its first bytes."""
     try:
         with open_regular(path) as (stream, _):
             begin = stream.read(len(_ROS1_MAGIC))
@@ -326,7 +326,7 @@ def _is_compressed(file: Path) -> bool:
 
 
 def _uncompressed(file: Path, output: Path) -> Path:
-    """Write a file that was compressed, as long as half of the disk's free space suffices, and return it."""
+    """Uncompress a file, using at most half of the disk's free space."""
     left = shutil.disk_usage(output.parent).free // 2
     with open_regular(file) as (stream, _), output.open("xb") as out:
         for piece in zstandard.ZstdDecompressor().read_to_iter(stream):

@@ -1,8 +1,8 @@
 """Recovers bags that were cut off by a SIGKILL, a power cut or a full disk.
 
-An MCAP file is a row of records, each with its length in front. All complete records are read, messages are written to
-a new bag, and the bag's metadata is rebuilt from them. The cut-off bag itself is only read. Records that cannot be
-read, or that ask for more memory than the limits allow, are dropped and counted.
+An MCAP file is a sequence of records, each preceded by its length. All complete records are copied to a new bag, whose
+metadata is rebuilt. The cut-off bag itself is never changed. Records that cannot be read, or that need more memory than
+the limits allow, are dropped and counted.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 
 @dataclass
 class Recovery:
-    """Content of a bag, as far as it could be read.
+    """What could be read of a bag.
 
     Attributes:
         source: Path of the bag that was read.
@@ -53,10 +53,10 @@ class Recovery:
         messages: Number of messages by topic.
         start: First log time [ns], None without messages.
         end: Last log time [ns].
-        dropped_bytes: Bytes that could not be read, of all files together.
+        dropped_bytes: Bytes in all files that could not be read.
         unfinished: Names of the files that were cut off or damaged.
-        too_large: Number of chunks and records that were dropped because they take more memory than is allowed.
-        foreign: Messages that are none of ROS 2 (JSON, protobuf, ROS 1) and were left out.
+        too_large: Chunks and records dropped because they need more memory than allowed.
+        foreign: Messages left out because they are not ROS 2 (JSON, protobuf, ROS 1).
     """
 
     source: Path
@@ -73,7 +73,7 @@ class Recovery:
 def recover(
     bag: Path | str, output: Path | str | None = None, *, progress: bool = False, limits: Limits = DEFAULT_LIMITS
 ) -> Recovery:
-    """Write the readable part of a cut-off bag as a new bag.
+    """Copy the readable part of a cut-off bag to a new bag.
 
     Args:
         bag: The folder of the bag, or one .mcap file.
@@ -82,7 +82,7 @@ def recover(
         limits: Memory that the bag may take at most.
 
     Raises:
-        BagError: No MCAP bag, nothing readable in it, or the output exists or cannot be written.
+        BagError: There is nothing readable, or the output exists or cannot be written.
     """
     source = Path(bag).absolute()
     if not source.exists():
@@ -115,7 +115,7 @@ def recover(
 
 
 class _Copy:
-    """Writes the readable part of one file after the other to a new bag."""
+    """Copies the readable part of each file to a new bag."""
 
     def __init__(self, folder: Path, max_file_bytes: int, found: Recovery, limits: Limits) -> None:
         self._folder = folder
@@ -232,7 +232,7 @@ class _Copy:
         found.end = log_time if found.end is None else max(found.end, log_time)
 
     def _records(self, stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and content of every readable record before the summary, those in chunks too."""
+        """Yield opcode and content of every readable record before the summary, also of those in chunks."""
         if stream.read(len(MAGIC)) != MAGIC:
             self._found.dropped_bytes += size
             return
@@ -274,7 +274,7 @@ class _Copy:
             self._drop(len(content))
 
     def _decompress(self, chunk: bytes, whole: bool) -> tuple[bytes, bool]:
-        """Return a chunk's records, and whether that is all; of a torn chunk, the part that can be decompressed."""
+        """Return a chunk's records, or as many as can be decompressed, and whether they are complete."""
         try:
             head = chunk_head(chunk, whole)
             if head.size > self._limits.chunk_bytes:
@@ -295,7 +295,7 @@ class _Copy:
 
 
 def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
-    """Return the content of a bag if all of it can be read; None if it must be recovered."""
+    """Return a bag's content if all of it can be read, else None."""
     if source.is_dir() and not (source / METADATA_FILE).exists():
         return None
     try:
@@ -323,6 +323,6 @@ def _ends_well(stream: BinaryIO, size: int) -> bool:
 
 
 def _file_order(path: Path) -> tuple[int, str]:
-    """Order `name_10.mcap` behind `name_9.mcap`."""
+    """Sort key that puts `name_10.mcap` after `name_9.mcap`."""
     number = re.search(r"(\d+)$", path.stem)
     return (int(number[1]) if number else -1, path.name)

@@ -1,4 +1,4 @@
-"""The files of bags from before MCAP: sqlite3, read by rosbags within bounds."""
+"""sqlite3 files, the format before MCAP: read by rosbags in bounded memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteReader:
-    """One sqlite3 file, open until `close`; its attributes are those of `McapReader`.
+    """One sqlite3 file, open until `close`; attributes as in `McapReader`.
 
     Raises:
         DamagedError: The file is of another kind, or damaged.
@@ -83,10 +83,10 @@ class SqliteReader:
 
 
 def with_log(path: Path, log: Path, folder: Path, limits: Limits) -> Path:
-    """Return a copy of an sqlite3 file, with what stands in its write-ahead log, in a folder for it.
+    """Copy an sqlite3 file into `folder` and merge its write-ahead log into the copy.
 
     Raises:
-        DamagedError: The log is damaged, or both need more than half of the disk's free space.
+        DamagedError: The log is damaged, or the copies need more than half of the disk's free space.
         OSError: They cannot be copied.
     """
     copy = folder / path.name

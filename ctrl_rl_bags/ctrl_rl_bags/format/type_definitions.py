@@ -1,6 +1,6 @@
-"""Message types as a bag defines them, to decode its messages with.
+"""Decodes messages by the types that a bag defines.
 
-A definition becomes Python code, and a few bytes may unfold to millions of objects: both are bounded here.
+Definitions become Python code, and a few bytes may unfold to millions of objects: both are bounded here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from ctrl_rl_bags.format.checks import DamagedError, printable, reason
 
 MOST_OBJECTS = 2_000_000
-"""Objects that one message may be decoded to."""
+"""Maximum number of objects in one decoded message."""
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _LONGEST_NAME = 255
 _LONGEST_DEFINITION = 256_000
@@ -29,7 +29,7 @@ _SEPARATOR = "=" * 80 + "\n"
 
 
 class Definition(NamedTuple):
-    """A type's name, its definition (empty: that of ROS 2 Jazzy), its encoding, its type hash (empty: unknown)."""
+    """A type: name, definition (empty: ROS 2 Jazzy's), encoding, and type hash (empty: unknown)."""
 
     type: str
     text: str
@@ -48,7 +48,7 @@ class BagTypes:
         """Take the definitions of the types.
 
         Raises:
-            DamagedError: A definition is none, too large, or not the one of its hash.
+            DamagedError: A definition is invalid, too large, or does not match its hash.
         """
         definitions = list(definitions)
         jazzy = get_typestore(Stores.ROS2_JAZZY).fielddefs
@@ -73,10 +73,10 @@ class BagTypes:
             raise DamagedError(f"a message definition cannot be used: {reason(error)}") from None
 
     def decode(self, data: bytes, kind: str) -> Any:
-        """Return a message, with NumPy arrays for arrays of numbers.
+        """Decode a message; arrays of numbers become NumPy arrays.
 
         Raises:
-            DamagedError: The bytes are no such message, or would take too much memory.
+            DamagedError: The bytes are not such a message, or would take too much memory.
         """
         cost = self._costs[kind]
         if cost.objects + len(data) * cost.objects_per_byte > MOST_OBJECTS:
@@ -88,7 +88,7 @@ class BagTypes:
 
 
 class _Cost(NamedTuple):
-    """Least objects and bytes of a message, and the most objects that a byte of its sequences becomes."""
+    """Minimum objects and bytes of a message, and the maximum objects per byte of its sequences."""
 
     objects: int
     least_bytes: int

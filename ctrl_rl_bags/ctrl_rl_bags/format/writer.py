@@ -1,8 +1,8 @@
 """Writes rosbag2 folders: metadata.yaml beside .mcap files, raw CDR bytes untouched.
 
-A bag that is being written has no metadata.yaml yet: that file marks the bag as complete. Until then everything older
-than `flush_s` is in the hands of the operating system and survives a SIGKILL; the disk is told to keep it by a thread,
-so that a slow card does not hold up the messages. `recovery` reads a bag that was cut off.
+metadata.yaml marks a bag as complete, so it is written last. Until then everything older than `flush_s` is with the
+operating system and survives a SIGKILL; a thread calls fsync, so that a slow card delays no message. `recovery` reads a
+bag that was cut off.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ FLUSH_S = 0.25
 
 
 class BagWriter:
-    """Writes one bag; a context manager that finishes the bag however its block is left.
+    """Writes one bag; as a context manager it finishes the bag even after an exception.
 
     Args:
         folder: The bag, created with its parents; it must not exist.
         max_file_bytes: Start the next file at about this size; 0 for one file.
         max_file_s: Start the next file after this span of log time [s]; 0 for one file.
         chunk_bytes: Uncompressed size of a chunk, the unit in which messages are compressed.
-        flush_s: Longest time [s] that a message waits in this process, as long as `flush_if_due` is called as often.
-        min_free_bytes: Free space on the disk below which writing ends with a BagError and a complete bag [bytes].
+        flush_s: Maximum time that a message waits in this process [s], if `flush_if_due` is called as often.
+        min_free_bytes: Free disk space below which writing ends with a BagError and a complete bag [bytes].
 
     Raises:
         BagError: The folder exists or cannot be made.
@@ -94,7 +94,7 @@ class BagWriter:
 
     @property
     def message_counts(self) -> Mapping[str, int]:
-        """Messages written, by topic; topics without messages are there too."""
+        """Messages written, by topic, including topics without messages."""
         return self._counts
 
     @property
@@ -103,7 +103,7 @@ class BagWriter:
         return sum(self._counts.values())
 
     def add_topic(self, topic: Topic) -> None:
-        """Make a topic known; once, before its first message.
+        """Add a topic, once, before its first message.
 
         Raises:
             BagError: The topic is known already, or the disk refuses.
@@ -163,7 +163,7 @@ class BagWriter:
             self.flush()
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Keep a text with the bag: at once in the file, and in metadata.yaml when the bag is closed."""
+        """Store a text with the bag: at once in the file, and in metadata.yaml on closing."""
         self._custom_data[key] = value
         try:
             self._file.add_metadata(CUSTOM_DATA_RECORD, {key: value})
@@ -171,15 +171,15 @@ class BagWriter:
             raise self._disk_error(error) from None
 
     def flush_if_due(self) -> None:
-        """Flush if the last time is `flush_s` ago; call it by a timer, for topics that fall silent."""
+        """Flush if `flush_s` has passed since the last time. Call it from a timer, for topics that fall silent."""
         if time.monotonic() >= self._flush_due:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything to the operating system and have a thread tell the disk.
+        """Hand everything to the operating system and let a thread call fsync.
 
         Raises:
-            BagError: The disk refuses, or less than `min_free_bytes` are left on it.
+            BagError: The disk refuses, or fewer than `min_free_bytes` are left.
         """
         self._flush_due = time.monotonic() + self._flush_s
         try:
@@ -200,7 +200,7 @@ class BagWriter:
         """Finish the bag; a second call does nothing.
 
         Raises:
-            BagError: The disk refuses; `bag recover` then finds all that reached it.
+            BagError: The disk refuses; `bag recover` then finds everything that reached it.
         """
         if self._closed:
             return
@@ -241,7 +241,7 @@ class BagWriter:
         self._channels = {name: file.add_topic(topic) for name, topic in self._topics.items()}
 
     def _finish_file(self) -> None:
-        """Finish the open file, and keep nothing of it but its summary."""
+        """Finish the open file and keep only its summary."""
         file = self._file
         file.flush()
         summary = FileSummary(file.path.name, file.start, file.end, file.message_count)

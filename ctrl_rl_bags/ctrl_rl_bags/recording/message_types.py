@@ -1,7 +1,7 @@
-"""Message types by name: their Python class and the definition text that a bag keeps.
+"""Message types by name: their Python class, the definition text that a bag keeps, and type stores for rosbags.
 
-Both come from the installed packages on the ament index (`share/<package>/msg/*.msg`). Names come from bags and from
-other machines, so nothing is imported before `check_type` has found the name in an installed interface package.
+Classes and texts come from the packages on the ament index (`share/<package>/msg/*.msg`). Names come from bags and
+other machines, so `check_type` must find a name in an installed interface package before anything is imported.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def is_type_name(name: str) -> bool:
 
 
 def check_type(name: str) -> None:
-    """Refuse a type name that is not valid, or that no installed interface package has; nothing is imported.
+    """Refuse an invalid type name, or one that no installed interface package has, without importing anything.
 
     Raises:
-        UnknownTypeError: The type is not installed, or the name is none; the message says which.
+        UnknownTypeError: The type is not installed, or the name is invalid.
     """
     if not is_type_name(name):
         shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
@@ -109,7 +109,7 @@ def _nested(name: str, text: str) -> Iterator[str]:
 
 
 def typestore(*names: str) -> Typestore:
-    """Return a store of Jazzy's types and of these, which writes and reads messages without their classes.
+    """Return a type store with Jazzy's types and these, to serialize and parse messages without their classes.
 
     Raises:
         UnknownTypeError: A definition is not installed here.
@@ -120,7 +120,7 @@ def typestore(*names: str) -> Typestore:
 
 
 def register(store: Typestore, *names: str) -> None:
-    """Add types to a store; those that it knows stay as they are.
+    """Add types to a store, unless it has them.
 
     Raises:
         UnknownTypeError: A definition is not installed here.

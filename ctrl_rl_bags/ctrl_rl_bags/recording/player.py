@@ -1,4 +1,4 @@
-"""Publishes a bag again: the recorded bytes at the recorded times, with latched topics latched."""
+"""Plays a bag: publishes the recorded bytes at the recorded times; latched topics are latched again."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
-"""Depth of latched topics, enough for every node's /tf_static; the middleware does not tell the recorded one."""
+"""Depth of latched topics, enough for every node's /tf_static: the middleware does not report the recorded depth."""
 _LONGEST_NS = 86_400 * 10**9
-"""Nobody waits longer for the next message."""
+"""Gaps longer than this are skipped [ns]."""
 _CLOCK_HZ = 100.0
 _SETTLE_S = 0.2
 _ACKNOWLEDGE_S = 2.0
@@ -70,7 +70,7 @@ def play(bag: Path | str, how: PlaybackOptions, warn: Callable[[str], None], *, 
     Args:
         bag: Folder or file.
         how: Settings of the replay.
-        warn: Gets one line for each topic that cannot be played.
+        warn: Called with one line per topic that cannot be played.
         progress: Show a bar on a terminal.
 
     Raises:
@@ -125,7 +125,7 @@ class _Player:
         return self._info.start + int(self._how.start_offset * 1e9)
 
     def _messages(self) -> Iterator[SerializedMessage]:
-        """Yield the messages to play; first those latched before the start, as a late subscriber gets them."""
+        """Yield the messages to play; first those latched before the start, as for a late subscriber."""
         if self._how.start_offset > 0.0:
             latched = [name for name in self._publishers if is_latched(self._info.topics[name].qos)]
             if latched:
@@ -134,7 +134,7 @@ class _Player:
         yield from read_raw(self._info.folder, list(self._publishers), start=start, limits=self._how.limits)
 
     def _in_rhythm(self) -> Iterator[SerializedMessage]:
-        """Yield each message at its time, the clock ticking in between, until stopped."""
+        """Yield each message when it is due, and tick /clock in between, until stopped."""
         begin = time.monotonic()
         tick = begin
         skipped, before = 0, self._first

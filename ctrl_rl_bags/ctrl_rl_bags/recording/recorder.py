@@ -28,16 +28,16 @@ from ctrl_rl_bags.recording.qos import subscription_qos, to_bag_qos
 from ctrl_rl_bags.recording.write_queue import BagQueue
 
 _TAKE_AT_ONCE = 200
-"""Messages taken of one topic before the others get their turn."""
+"""Messages taken from one topic before the next topic's turn."""
 _PAUSE_S = 0.02
-"""Time to let messages gather before the next are taken [s]: a round of the executor costs as much as 20 messages."""
+"""Pause between two rounds [s], to take many messages at once: a round of the executor costs as much as 20."""
 _PATIENCE_S = 1.0
-"""Time that a node has to answer with its parameters before it is asked again."""
+"""Time after which a node that has not answered is asked for its parameters again [s]."""
 
 
 @dataclass
 class _Recorded:
-    """A topic that is being recorded: its type, and the name that its messages have in the bag."""
+    """A topic that is being recorded."""
 
     type_name: str
     type: Any
@@ -50,13 +50,13 @@ class _Recorded:
 class TopicRecorder:
     """Subscribes to every selected topic that has a publisher and writes its bytes untouched.
 
-    A topic whose publishers all have another type now is recorded with that one, under `<topic>/as/<package>/<Name>`:
-    a bag has one type for each topic.
+    A bag has one type per topic: if all publishers of a topic change its type, recording goes on under
+    `<topic>/as/<package>/<Name>`.
 
     Attributes:
-        lost: Messages that the middleware reports as lost on the way here.
-        skipped: Why a topic is not recorded, by name.
-        retyped: Name in the bag of the topics whose type has changed.
+        lost: Messages that the middleware reports as lost.
+        skipped: Reason by name of each topic that is not recorded.
+        retyped: New name in the bag of each topic whose type has changed.
     """
 
     def __init__(self, node: Node, queue: BagQueue, selected: Callable[[str], bool], queue_depth: int) -> None:
@@ -73,7 +73,7 @@ class TopicRecorder:
         self._refused: set[tuple[str, str]] = set()
 
     def discover(self) -> None:
-        """Subscribe to new topics; ask for less where a new publisher offers less."""
+        """Subscribe to new topics; weaken a request if a new publisher offers less."""
         for name, types in self._node.get_topic_names_and_types():
             if name in self._recorded:
                 self._adapt(name, types)
@@ -81,12 +81,12 @@ class TopicRecorder:
                 self._add(name, self._node.get_publishers_info_by_topic(name))
 
     def drain(self) -> None:
-        """Write the messages that have arrived and were not yet taken."""
+        """Write all messages that have arrived."""
         for recorded in self._recorded.values():
             self._take(recorded, limit=self._queue_depth)
 
     def _take_round(self) -> None:
-        """Write what has arrived on all topics, then pause unless a topic has more."""
+        """Write what has arrived on all topics; pause unless a topic has more."""
         emptied = [self._take(recorded, _TAKE_AT_ONCE) for recorded in self._recorded.values()]
         if all(emptied):
             time.sleep(_PAUSE_S)
@@ -128,7 +128,7 @@ class TopicRecorder:
         self._say_others(name, type_name, publishers)
 
     def _adapt(self, name: str, types: list[str]) -> None:
-        """Follow a topic whose publishers are other ones now."""
+        """Follow changes in a topic's publishers."""
         recorded = self._recorded[name]
         count = self._node.count_publishers(name)
         if count == recorded.publishers and types == [recorded.type_name]:
@@ -197,9 +197,9 @@ class TopicRecorder:
 
 
 class ParameterCollector:
-    """Asks every node for all of its parameters and keeps them as custom data `parameters.<node>`.
+    """Asks every node for its parameters and stores them as custom data `parameters.<node>`.
 
-    Best effort: a node that never answers is left out. Later changes are on /parameter_events.
+    A node that never answers is left out. Later changes are on /parameter_events.
     """
 
     def __init__(self, node: Node, queue: BagQueue) -> None:
@@ -209,7 +209,7 @@ class ParameterCollector:
         self._known: set[str] = set()
 
     def discover(self) -> None:
-        """Ask nodes that have appeared, as soon as their services are there, until they have answered."""
+        """Ask new nodes once their services are up, and again until they answer."""
         present = {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
@@ -228,9 +228,9 @@ class ParameterCollector:
 
 
 class _ParameterQuestion:
-    """One node's parameters, asked for until they are there.
+    """Asks one node for its parameters until the answer arrives.
 
-    A node may answer before it has discovered this one: the answer is lost then, and the question is repeated.
+    A node may answer before it has discovered this one; that answer is lost, so the question is repeated.
     """
 
     def __init__(self, node: Node, name: str, keep: Callable[[dict[str, Any]], None]) -> None:
@@ -240,14 +240,14 @@ class _ParameterQuestion:
         self._asked = -math.inf
 
     def ask(self) -> None:
-        """Ask, if the services are there and no answer can be expected any more."""
+        """Ask if the services are up and the last question has timed out."""
         ready = self._list.service_is_ready() and self._get.service_is_ready()
         if ready and time.monotonic() - self._asked > _PATIENCE_S:
             self._asked = time.monotonic()
             self._call(self._list, ListParameters.Request(), self._listed)
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop asking."""
         self._node.destroy_client(self._list)
         self._node.destroy_client(self._get)
 

@@ -20,11 +20,11 @@ from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 
 _DISCOVERY_S = 0.2
 _PATIENCE_S = 4.0
-"""Time to write the waiting messages when the recorder stops [s]."""
+"""Time to write the queued messages when the recorder stops [s]."""
 
 
 class RecorderNode(SuiteNode):
-    """Records every topic, the parameters of all nodes and the digests of the files they work with, as one bag."""
+    """Records topics, the parameters of all nodes, and the digests of their files, as one bag."""
 
     QUICK = False
     FATAL = (BagError,)
@@ -69,7 +69,7 @@ class RecorderNode(SuiteNode):
         self.get_logger().info(f"recording to {self._writer.folder}")
 
     def status(self) -> Status:
-        """Return the counts of written, lost and dropped messages."""
+        """Report the numbers of written, lost and dropped messages."""
         skipped = ", ".join(self._topics.skipped)
         values = {
             "messages": self._writer.message_count,
@@ -113,7 +113,7 @@ class RecorderNode(SuiteNode):
 
 
 class _Selection:
-    """Which topics are recorded."""
+    """Decides which topics are recorded."""
 
     def __init__(self, names: set[str], exclude: list[re.Pattern[str]], hidden: bool) -> None:
         self._names = names
@@ -129,7 +129,7 @@ class _Selection:
 
 
 def _texts(values: list[str]) -> list[str]:
-    """Leave out empty texts: ROS cannot tell the type of an empty list, so [""] stands for it."""
+    """Drop empty texts: in ROS, [""] stands for an empty list, whose type is unknown."""
     return [value for value in values if value]
 
 

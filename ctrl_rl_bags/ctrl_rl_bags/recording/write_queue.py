@@ -1,6 +1,6 @@
-"""A queue in front of a bag, emptied by a thread, so that a slow disk delays no callback and takes no memory.
+"""A bounded queue that a thread writes to a bag, so that a slow disk neither delays callbacks nor fills the memory.
 
-Messages that do not fit are dropped and counted. The queue is limited in messages and in bytes.
+Messages that do not fit are dropped and counted.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _OVERHEAD = 200
 
 
 class BagQueue:
-    """Hands messages over to a `BagWriter`, of which others may only read the counts from then on.
+    """Passes messages to a `BagWriter`; from then on others may only read its counts.
 
     Args:
         writer: Writer of the bag, used by one thread.
-        max_bytes: Memory of everything that waits.
+        max_bytes: Maximum memory of the queue [bytes].
         on_drop: Called with a topic's name when its first message is dropped.
 
     Attributes:
@@ -51,19 +51,19 @@ class BagQueue:
         return self._bytes
 
     def add_topic(self, topic: Topic) -> None:
-        """Make a topic known, before its first message."""
+        """Add a topic, before its first message."""
         self._put("", 0, lambda: self._writer.add_topic(topic))
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Keep a text with the bag."""
+        """Store a text with the bag."""
         self._put(key, len(value), lambda: self._writer.set_custom_data(key, value))
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
-        """Write a message as soon as its turn comes, or drop it where too many wait."""
+        """Queue a message, or drop it if the queue is full."""
         self._put(topic, len(data), lambda: self._writer.write(topic, data, log_time, publish_time, sequence))
 
     def check(self) -> None:
-        """Raise the error of the bag, if there is one.
+        """Raise the error that stopped writing, if any.
 
         Raises:
             BagError: The disk refuses.
@@ -72,10 +72,10 @@ class BagQueue:
             raise self._error
 
     def close(self, patience: float) -> bool:
-        """Write waiting messages for at most `patience` [s], drop the rest, and finish the bag.
+        """Write queued messages for at most `patience` [s], drop the rest, and finish the bag.
 
         Returns:
-            Whether the bag is finished; if the disk does not answer for twice as long, it is not.
+            Whether the bag is finished; False if the disk does not answer for twice as long.
 
         Raises:
             BagError: The disk refuses.
@@ -104,7 +104,7 @@ class BagQueue:
             self._on_drop(name)
 
     def _work(self) -> None:
-        """Write messages as they come, flush in between, and finish the bag at the end; the first error ends it."""
+        """Write queued messages until closing or the first error, flush in between, and finish the bag."""
         try:
             while self._step():
                 pass

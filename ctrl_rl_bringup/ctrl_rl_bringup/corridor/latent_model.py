@@ -33,7 +33,7 @@ class LatentModel:
         dimensions: Number of dimensions of the latent space.
         poles: Poles of the closed loop A - B K, largest first (n,); empty if the policy's file has changed since.
         steps: Stamp [s], prediction error and distance that the latent moved, the error of "nothing changes" (k, 3).
-        farthest: Largest distance from the latents of training, 1 at the border; NaN if the policy has no border.
+        farthest: Maximum distance from the latents of training, 1 at the border; NaN if the policy has no border.
         stops: Number of scans that were answered by a stop, by reason.
     """
 

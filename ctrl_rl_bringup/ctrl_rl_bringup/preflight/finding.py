@@ -71,25 +71,25 @@ class Limits:
     """Limits of the checks, under this suite's controllers; what is a robot's is that of `--robot` unless given."""
 
     scan_rate: FiniteNumber = 4.0
-    """Least scans per second [Hz]."""
+    """Minimum scans per second [Hz]."""
 
     odom_rate: FiniteNumber = 10.0
-    """Least odometry messages per second [Hz]."""
+    """Minimum odometry messages per second [Hz]."""
 
     largest_gap: FiniteNumber = 0.5
     """Longest silence of scan or odometry [s]; the controllers stop the robot after 0.5 s."""
 
     largest_age: FiniteNumber = 0.5
-    """Largest age of a stamp on arrival, by this computer's clock [s]."""
+    """Maximum age of a stamp on arrival, by this computer's clock [s]."""
 
     largest_lead: FiniteNumber = 0.1
-    """Largest lead of a stamp over this computer's clock [s]."""
+    """Maximum lead of a stamp over this computer's clock [s]."""
 
     echo_share: FiniteNumber = 0.3
-    """Least share of beams with an echo, 0 to 1."""
+    """Minimum share of beams with an echo, 0 to 1."""
 
     field: FiniteNumber = 180.0
-    """Least field of view of the lidar [deg]."""
+    """Minimum field of view of the lidar [deg]."""
 
     lidar_x: FiniteNumber = _USUAL.lidar.x
     """Position of the lidar ahead of base_link that the controller is told [m]."""
@@ -113,16 +113,16 @@ class Limits:
     """Radius around base_link that holds all of the robot [m]; no echo can lie within."""
 
     map_share: FiniteNumber = 0.6
-    """Least share of echoes that lie near an occupied cell of the map, 0 to 1."""
+    """Minimum share of echoes that lie near an occupied cell of the map, 0 to 1."""
 
     map_distance: FiniteNumber = 0.15
     """Distance from an occupied cell up to which an echo counts as near [m]."""
 
     scale_tolerance: FiniteNumber = 0.2
-    """Largest relative difference between commands, odometry and scan while the robot moves."""
+    """Maximum relative difference between commands, odometry and scan while the robot moves."""
 
     largest_delay: FiniteNumber = 0.5
-    """Largest time from a command to its effect in odometry [s]."""
+    """Maximum time from a command to its effect in odometry [s]."""
 
     def of(self, robot: Robot) -> Limits:
         """Return the limits with what is a robot's, where it was left at that of the usual one."""

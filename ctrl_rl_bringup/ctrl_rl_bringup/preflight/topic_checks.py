@@ -191,7 +191,7 @@ def rate_finding(check: str, times: Sequence[Times], heard: Recording, least: fl
         check: Name of the check.
         times: Times of its messages, in order; at least one.
         heard: The recording, for its begin and end.
-        least: Least rate [Hz].
+        least: Minimum rate [Hz].
         largest_gap: Longest silence [s].
     """
     arrivals = np.array([heard.begin, *(each.arrival for each in times), heard.end])

@@ -88,7 +88,7 @@ class MonitorError(CtrlRlError):
 
 @dataclass(frozen=True)
 class EpisodeProgress:
-    """State of an episode: number, outcome, time since the reset [s], part of the way done, least clearance [m]."""
+    """State of an episode: number, outcome, time since the reset [s], part of the way done, minimum clearance [m]."""
 
     number: int
     outcome: int

@@ -20,9 +20,9 @@ RAW_THRUSTS = "rotor_thrusts_raw"
 SAFE_THRUSTS = "rotor_thrusts_safe"
 """Topic of the flight guard's commands, which the watchdog passes on where there is a guard."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
-"""Default and largest rate of the bridge's odometry [Hz]."""
+"""Default and maximum rate of the bridge's odometry [Hz]."""
 _GUARDED_ODOMETRY = 120.0
-"""Least rate of odometry for the flight guard [Hz]: three a period."""
+"""Minimum rate of odometry for the flight guard [Hz]: three a period."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
 _WATCHDOG_S = 2.0
 """A busy machine may stall for a second, in which a simulated robot does not move either."""
@@ -133,7 +133,7 @@ def safety_filter(task: NavigationTask) -> NodeSpec:
 
 
 def _fastest_mover(task: NavigationTask) -> float:
-    """Return the largest speed of a task's movers [m/s]."""
+    """Return the maximum speed of a task's movers [m/s]."""
     tracks = [each.track or each.wander for each in task.movers]
     return max((each.speed.high for each in tracks if each is not None), default=0.0)
 

@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 _SPACING = 0.1
 """Spacing of the planner's nodes [m]."""
 _ROOM, _TIGHT_PENALTY = 0.15, 4.0
-"""A hop whose ends have less than this room beyond d_min [m] counts as longer, up to one and this many times longer:
-solvers keep a little more than d_min, and find a way through the middle of a door easier to mend."""
+"""A hop whose ends have less room beyond d_min [m] than this counts as longer, by up to this factor plus one: solvers
+keep a little more than d_min, and improve a path through the middle of a door more easily."""
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
-"""Neighbours of a node; the opposite ones follow."""
+"""Neighbours of a node, without the opposite ones."""
 
 
 class ShortestPathPlanner:
@@ -52,7 +52,7 @@ class ShortestPathPlanner:
         )
 
     def path(self, position: Array, count: int) -> Array:
-        """Return `count` points (count, 2) [m] that lead from a position (2,) to the goal at equal distances."""
+        """Return a path of equidistant points (count, 2) [m] from a position (2,) to the goal."""
         node = self._nearest(position, self._reached)
         nodes = [node]
         while self._next[node] >= 0:
@@ -64,7 +64,7 @@ class ShortestPathPlanner:
         return np.column_stack([np.interp(at, along, corners[:, axis]) for axis in (0, 1)])
 
     def _clearance_to_spare(self, points: Array) -> Array:
-        """Return how much more than d_min positions (..., 2) keep [m]."""
+        """Return the clearance beyond d_min of positions (..., 2) [m]."""
         states = np.zeros((*points.shape[:-1], len(self._problem.system.states)))
         states[..., self._problem.positions] = points
         return self._problem.margin(states)
@@ -75,7 +75,7 @@ class ShortestPathPlanner:
 
 
 def _graph(points: Array, room: Array, shape: tuple[int, int]) -> csr_array:
-    """Return the lengths of the hops between nodes (N, 2) with room (N,) [m], longer where there is little."""
+    """Return the weighted lengths of hops between nodes (N, 2) with room (N,) [m]."""
     free = room >= -1e-9
     index = np.arange(len(points)).reshape(shape)
     rows, columns = [], []
@@ -94,7 +94,7 @@ def _graph(points: Array, room: Array, shape: tuple[int, int]) -> csr_array:
 
 
 _SMOOTH = 9
-"""Number of points over which the direction of a path is averaged, because it leads over a lattice."""
+"""Number of points over which to average a path's direction, because the path runs on a lattice."""
 
 
 class InitialGuesses:
@@ -111,9 +111,9 @@ class InitialGuesses:
     def __call__(self, start: Array) -> list[tuple[Array, Array]]:
         """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
 
-        A straight line to the goal; where that runs through an obstacle, a path round it comes first. With a free time
-        step a car that would be there sooner forwards than backwards drives along it: without speeds to begin with, and
-        facing away, a solver finds the way backwards, however long that takes.
+        It is a straight line to the goal, preceded by a path round an obstacle in the way. With a free time step a car
+        that arrives sooner forwards than backwards drives along the line: from a guess at rest that faces away, a
+        solver would drive backwards, however long that takes.
         """
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
@@ -130,7 +130,7 @@ class InitialGuesses:
 
 
 def straight_line_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) that slide along `line` (H+1, 2), rates dying out, and resting controls (H, m)."""
+    """Return states (H+1, n) that slide along `line` (H+1, 2) with decaying rates, and controls at rest (H, m)."""
     names, H = problem.system.state_names, problem.horizon
     states = np.tile(start, (H + 1, 1))
     states[:, problem.positions] = line
@@ -140,7 +140,7 @@ def straight_line_guess(problem: OptimalControlProblem, start: Array, line: Arra
 
 
 def path_following_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) of a car that drives along `line` (H+1, 2), and its controls (H, m) within their bounds.
+    """Return states (H+1, n) of a car that drives along `line` (H+1, 2), and controls within their bounds (H, m).
 
     A system without heading, or one that flies, gets `straight_line_guess` instead.
     """
@@ -156,12 +156,12 @@ def path_following_guess(problem: OptimalControlProblem, start: Array, line: Arr
 
 
 def _is_car(system: System) -> bool:
-    """Whether speed and turn rate of a heading are the controls."""
+    """Whether the controls are the speed and the turn rate of a heading."""
     return "theta" in system.state_names and system.control_names == ("v", "omega")
 
 
 def _is_sooner_forwards(system: System, start: Array, line: Array) -> bool:
-    """Whether a car that turns on the spot first is sooner at the end of a straight line (H+1, 2) forwards."""
+    """Whether a car reaches the end of a straight line (H+1, 2) sooner forwards, counting its turn on the spot."""
     if not _is_car(system):
         return False
     (back, _), (ahead, turn) = system.control_bounds
@@ -174,18 +174,18 @@ def _is_sooner_forwards(system: System, start: Array, line: Array) -> bool:
 
 
 def braking_guess(problem: OptimalControlProblem, start: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) that stay where `start` (n,) is while its rates die out, and resting controls (H, m)."""
+    """Return states (H+1, n) that stay at `start` (n,) while its rates decay, and controls at rest (H, m)."""
     return straight_line_guess(problem, start, np.tile(start[problem.positions], (problem.horizon + 1, 1)))
 
 
 def shift_trajectory(states: Array, controls: Array, steps: int) -> tuple[Array, Array]:
-    """Return a trajectory (H+1, n), (H, m) from `steps` on, its last state and control repeated to the same length."""
+    """Shift a trajectory (H+1, n), (H, m) by `steps`; repeat its last state and control at the end."""
     index = np.minimum(np.arange(len(states)) + steps, len(states) - 1)
     return states[index], controls[np.minimum(index[:-1], len(controls) - 1)]
 
 
 def equilibrium_control(system: System) -> Array:
-    """Return the control (m,) within bounds that comes nearest to rest at the origin: zero, or hover in flight."""
+    """Return the control (m,) within bounds that best holds the system at rest at the origin: zero, or hover."""
     n, m = len(system.states), len(system.controls)
     if not m:
         return np.zeros(0)

@@ -48,7 +48,7 @@ class Mpc:
         problem: Optimal control problem to solve.
         solvers: Solvers, asked in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
             Where the model has corners and both are given, ipopt is asked alone: fatrop may never end there.
-        max_iterations: Largest number of iterations of each solver.
+        max_iterations: Maximum number of iterations of each solver.
         time_limit: Processor time that one start may take [s]; a solver that exceeds it, or fatrop a quarter of it, is
             ended.
         nearby: Whether a trajectory to begin with is followed by quadratic programs first; otherwise an interior point

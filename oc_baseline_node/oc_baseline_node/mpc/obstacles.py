@@ -1,11 +1,11 @@
-"""Obstacles as smooth constraints: superellipses that hold a box, or a disc, grown by the robot's clearance d_min.
+"""Obstacles as smooth constraints: superellipses around a box or disc that is grown by the robot's clearance d_min.
 
 A box grown by d_min is a rectangle with rounded corners. The superellipse around it has the same proportions and is
-scaled until it touches the corners: it covers the rounded box wholly, so a position that keeps out of it keeps d_min
-from the real box. The p-norm grows like the distance, which a solver likes better than its p-th power.
+scaled until it touches the corners. It covers the rounded box, so a position outside of it keeps d_min from the real
+box. The p-norm grows like the distance, which suits solvers better than its p-th power.
 
-Around a long box it would reach far beyond the ends, and close a door there. So a long box gets three: one that ends
-sooner, and a short one at each end.
+Around a long box it would extend far beyond the ends and block a door there. So a long box gets three: a shorter one,
+and one at each end.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 from ctrl_rl_core import Box, Shape
 
 EXPONENT = 6
-"""Exponent of the superellipse around a box: the higher, the closer to the box and the slower to solve."""
+"""Exponent of the superellipse around a box: higher fits the box more closely but is slower to solve."""
 _OVERSHOOT = 0.1
-"""Largest distance by which a superellipse may exceed the shape it covers [m], before a box is covered by three."""
+"""Maximum distance by which a superellipse may exceed the shape it covers [m], before a box is covered by three."""
 _ROUNDED = 1e-9
-"""Rounds the norm's tip off, so that its derivative is finite in the middle of an obstacle."""
+"""Smooths the norm's tip, so that its derivative is finite at the centre of an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Superellipse:
     angle: float = 0.0
 
     def outside(self, x: Any, y: Any) -> Any:
-        """Return how far outside (x, y) lies, about in metres: negative inside. Smooth, for arrays and for CasADi."""
+        """Return the approximate distance of (x, y) [m], negative inside. Smooth, for arrays and CasADi."""
         c, s = cos(self.angle), sin(self.angle)
         dx, dy = x - self.centre[0], y - self.centre[1]
         a = (c * dx + s * dy) / self.semi_axes[0]
@@ -53,7 +53,7 @@ class Superellipse:
 
 
 def covering_superellipses(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Superellipse, ...]:
-    """Return superellipses that together hold all points nearer to `shape` than `clearance` [m], and little more."""
+    """Return superellipses that together cover all points nearer to `shape` than `clearance` [m], and little else."""
     whole = covering_superellipse(shape, clearance, exponent)
     if not isinstance(shape, Box):
         return (whole,)
@@ -85,7 +85,7 @@ def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
 
 
 def covering_superellipse(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
-    """Return a superellipse that holds all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
+    """Return a superellipse that covers all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
     if not isinstance(shape, Box):
         radius = shape.radius + clearance
         return Superellipse(shape.centre, (radius, radius), 2)

@@ -1,4 +1,4 @@
-"""A receding horizon: a controller that solves anew from each state, beginning with what it planned before."""
+"""Receding-horizon control: a controller that solves again at every state, starting from its previous plan."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ Array = NDArray[np.float64]
 
 
 class RecedingHorizon:
-    """A controller: solves anew from each state, begins with what it planned before, applies the first control.
+    """Solves again at every state, starting from its previous plan, and applies the first control.
 
-    Where no solver finds a trajectory it carries on with the plan that it has.
+    If no solver finds a trajectory it continues with the plan that it has.
 
     Attributes:
         plan: Last solved trajectory, None before the first.
-        reason: Status of the last solver; not a success where `plan` is an older one.
-        solved: Whether the last state got a trajectory of its own.
-        spent: Processor time of the solvers for the last state [s].
+        reason: Status of the last solver; no success if `plan` is older.
+        solved: Whether a trajectory was found for the last state.
+        spent: CPU time of the solvers for the last state [s].
     """
 
     def __init__(self, mpc: Mpc) -> None:
@@ -34,7 +34,7 @@ class RecedingHorizon:
         self.spent = 0.0
 
     def control(self, state: ArrayLike) -> Array:
-        """Return u (m,) for a state (n,); call it once each time step."""
+        """Return u (m,) for a state (n,); call it once per time step."""
         self._age += 1
         tries = [] if self.plan is None else [self._solve_nearby(state, self.plan)]
         if not tries or not tries[-1].solved:

@@ -1,8 +1,8 @@
-"""Equations of a model with its corners rounded off: sqrt, a fraction's power, asin and the like have no derivative.
+"""Smooths the corners of a model's equations, where sqrt, fractional powers, asin and the like have no derivative.
 
-A solver that begins at rest in |v| v by a square root asks for 0/0. Each such operation is replaced by one that is
-finite everywhere and differs by 1e-4 at the corner, by far less elsewhere. Trajectories are checked by the equations
-themselves, so the replacement moves none further than the tolerance.
+A solver that starts at rest with |v| v written as a square root gets 0/0. Each such operation is replaced by one that
+is finite everywhere and differs by 1e-4 at the corner, by far less elsewhere. Trajectories are checked by the original
+equations, so the replacement moves none by more than the tolerance.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from typing import Any
 import casadi
 
 _ROUND = 1e-8
-"""Added under a root: its square root is the error at the corner."""
+"""Added under a root; its square root is the error at the corner."""
 _APART = 1e-8
 """Divisor below which a quotient bends back to zero."""
 _LARGEST_EXPONENT = 300.0
-"""Exponent beyond which exp grows no more: its squares would be infinite."""
+"""Exponent beyond which exp stays constant, because its squares would be infinite."""
 
 
 def rounded(function: casadi.Function) -> tuple[casadi.Function, tuple[str, ...]]:
-    """Return an SX function without corners, and the names of the operations that have some.
+    """Return an SX function without corners, and the names of the operations that had some.
 
-    A quotient and exp are kept finite as well, but are not named: they have derivatives wherever they have values. The
-    function itself is returned where nothing is to be done.
+    Quotients and exp are kept finite too, but not named: they have derivatives wherever they have values. A function
+    without corners is returned unchanged.
     """
     found = _corners(function)
     if not found:

@@ -13,7 +13,7 @@ from oc_baseline_node.problems.problem import OptimalControlProblem
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-4
-"""Largest violation of a constraint by a solved trajectory [m, rad, ...]."""
+"""Maximum violation of a constraint by a solved trajectory [m, rad, ...]."""
 _CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
 """Fractions of a step at which the clearance is checked."""
 

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _DAMPING = (1e-4, 1e-2, 1.0)
 """Numbers added to the Hessian's diagonal, tried in turn until the program has a minimum."""
 _BEGINNINGS = ((1e-2, 1e-4), (1e-2, 1.0), (1.0, 1e2))
-"""Least slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
+"""Minimum slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
 _NEAR = 1.0
 """An obstacle further than this is left out of a quadratic program [m]; the trajectory is checked against all."""
 

@@ -57,7 +57,7 @@ def solve_stages(
         first: First components of x_0 that are given (f,); the others are free.
         damping: Number that is added to the diagonal of H.
         complementarity: Mean product of slack and multiplier at which the program counts as solved.
-        least_slack: Least slack to begin with.
+        least_slack: Minimum slack to begin with.
         first_barrier: Product of slack and multiplier to begin with.
     """
     K, n, w = A.shape

@@ -27,7 +27,7 @@ Kind = Literal["dynamics", "start", "obstacle", "disc"]
 _LEAST_CLEARANCE = 0.05
 """Smallest d_min in the corner-cutting allowance [m]: a corner that may be touched would make it infinite."""
 _COST_RANGE = 1e3
-"""The largest weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
+"""The maximum weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
 
 
 class Layout:
@@ -200,7 +200,7 @@ def variable_bounds(layout: Layout, state_bounds: Array, terminal: Region) -> di
 
     Args:
         layout: Places of states and controls in the vector of variables.
-        state_bounds: Least and largest states (2, n).
+        state_bounds: Minimum and maximum states (2, n).
         terminal: Set in which x_H lies; its disc is a constraint.
     """
     problem, H = layout.problem, layout.problem.horizon

@@ -18,16 +18,16 @@ from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]
 _MOST_WAYS = 4
-"""Ways round that are tried where several states are on circles."""
+"""Number of windings tried when several states are on circles."""
 
 
 def periods(system: System, positions: Sequence[int]) -> Array:
-    """Return the period of each state (n,), inf where it is on no circle.
+    """Return the period of each state (n,), inf for a state that is not on a circle.
 
     A heading of -180 degrees is one of 180, so an interval of it is also met one period away.
 
-    A state is on one where its model says so, or where regions take it for an angle by its name. A position is not:
-    distances are measured along it.
+    A state is on a circle if its model says so, or if its name marks an angle in regions. Positions are not: distances
+    are measured along them.
     """
     out = np.full(len(system.states), np.inf)
     for index, state in enumerate(system.states):
@@ -41,7 +41,7 @@ def periods(system: System, positions: Sequence[int]) -> Array:
 
 
 def nearest_turn(values: ArrayLike, toward: ArrayLike, period: ArrayLike) -> Array:
-    """Return values (...) moved by whole periods to within half a period of `toward` (...); unmoved where it is inf."""
+    """Move values (...) by whole periods to within half a period of `toward` (...), unless the period is infinite."""
     values, period = np.asarray(values, dtype=float), np.asarray(period, dtype=float)
     finite = np.isfinite(period)
     length = np.where(finite, period, 1.0)
@@ -49,9 +49,9 @@ def nearest_turn(values: ArrayLike, toward: ArrayLike, period: ArrayLike) -> Arr
 
 
 def bounds_around(state: Array, bounds: Array, period: Array) -> Array:
-    """Return bounds (2, n) moved by whole periods so that a state (n,) lies within them, or nearest to them.
+    """Move bounds (2, n) by whole periods so that a state (n,) lies in or nearest to them.
 
-    Bounds that hold a whole period bind nothing.
+    Bounds that span a whole period become infinite.
     """
     low, high = bounds
     free = np.isfinite(period) & (high - low >= period * (1.0 - 1e-9))
@@ -62,7 +62,7 @@ def bounds_around(state: Array, bounds: Array, period: Array) -> Array:
 
 
 def outside(region: Region, names: Sequence[str], period: Array, state: Array) -> float:
-    """Return by how much a state (n,) misses the intervals of a region [m, rad, ...]; zero or less inside."""
+    """Return how far a state (n,) is outside the intervals of a region [m, rad, ...]; zero or less inside."""
     out = -np.inf
     for name, interval in region.intervals.items():
         index = names.index(name)
@@ -75,10 +75,9 @@ def outside(region: Region, names: Sequence[str], period: Array, state: Array) -
 def ways_round(
     region: Region, names: Sequence[str], period: Array, state: Array, bounds: Array
 ) -> list[tuple[float, Region]]:
-    """Return a region with its intervals moved by whole periods to where they may be reached from a state (n,).
+    """Return copies of a region, moved by periods to within reach of a state (n,), with their distances in periods.
 
-    Beside each stands its distance in periods; the nearest comes first. Those outside `bounds` (2, n) are left out,
-    unless all are.
+    The nearest comes first. Copies outside `bounds` (2, n) are left out, unless all are.
     """
     choices: list[list[tuple[float, str, Interval | None]]] = []
     for name, interval in region.intervals.items():
@@ -103,7 +102,7 @@ def ways_round(
 def _turns(
     name: str, interval: Interval, period: float, value: float, bounds: Array
 ) -> list[tuple[float, str, Interval | None]]:
-    """Return one or two intervals with their distances in periods, the nearest first."""
+    """Return one or two copies of an interval with their distances in periods, the nearest first."""
     turn = float(nearest_turn(interval.centre, value, period)) - interval.centre
     found = []
     for shift in (turn - period, turn, turn + period):
@@ -118,13 +117,13 @@ def _turns(
 NAMES = ("s", "lateral", "heading")
 """States of `path_car`."""
 _ROUNDED = 0.05
-"""Length over which a step of the curvature is rounded off [m]."""
+"""Length over which steps of the curvature are smoothed [m]."""
 _LARGEST_HEADING = pi / 3
-"""Largest heading of a start [rad]: a burger does not stand across a narrow corridor."""
+"""Maximum heading of a start [rad]: a burger does not start across a narrow corridor."""
 
 
 def path_car(car: System, path: ArcPath) -> System:
-    """Return the Dubins car in the coordinates of a path, with the controls of `car`.
+    """Return the Dubins car `car` in the coordinates of a path.
 
     Walls become bounds there, and the path to the goal a straight line:
 
@@ -134,7 +133,7 @@ def path_car(car: System, path: ArcPath) -> System:
     path's curvature, smoothed at its steps so that a solver can follow it.
 
     Raises:
-        OcError: `car` is another model.
+        OcError: `car` is a different model.
     """
     if car.name != "dubins_car":
         raise OcError(f"in a corridor the model must be 'dubins_car', not '{car.name}'")
@@ -159,7 +158,7 @@ def path_car(car: System, path: ArcPath) -> System:
 
 
 def curvature(path: ArcPath, s: Any, math: Any = np) -> Any:
-    """Return the path's curvature [rad/m] at s [m], smooth; for arrays and for CasADi."""
+    """Return the path's smoothed curvature [rad/m] at s [m], for arrays and CasADi."""
     out, begin = 0.0 * s, 0.0
     for arc in path.arcs:
         if arc.curvature != 0.0:

@@ -86,7 +86,7 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
     Args:
         task: Task that the problem is extracted from.
         form: Form of the problem, one of `FORMS`.
-        clearance: Least distance d_min from obstacles [m]; the task's, but more than the body's radius, where it is
+        clearance: Minimum distance d_min from obstacles [m]; the task's, but more than the body's radius, where it is
             None.
 
     Raises:

@@ -38,7 +38,7 @@ MODELS_OWN = "the model's own bounds, as the task names none"
 _ROOM = 0.02
 """Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
 _HEAVIEST = 1e100
-"""Largest weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
+"""Maximum weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
 _INSIDE = 1e-3
 """Distance inside the goal's bounds at which a trajectory must end, beyond a solver's tolerance [m, rad]."""
 
@@ -65,8 +65,8 @@ class OptimalControlProblem:
         trap: Middle of the trap (2,) [m], None for no trap.
         terminal: Set in which x_H lies: the goal, within the task's terminal set.
         obstacles: Shapes from which a position keeps d_min.
-        clearance: Least distance d_min from obstacles [m].
-        state_bounds: Least and largest states (2, n); infinite where free.
+        clearance: Minimum distance d_min from obstacles [m].
+        state_bounds: Minimum and maximum states (2, n); infinite where free.
     """
 
     task: NavigationTask
@@ -172,8 +172,8 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
     Args:
         task: Task with a part `optimal_control`; obstacles only in an arena.
         form: Form of the problem, one of `FORMS`.
-        clearance: Least distance d_min from obstacles [m]. Where left out the task's, but more than the body's radius:
-            nearer, the body collides.
+        clearance: Minimum distance d_min from obstacles [m]; by default the task's, but more than the body's radius,
+            because the body collides at less.
 
     Raises:
         OcError: the task lacks what the problem needs, or its terminal set is empty within the bounds.

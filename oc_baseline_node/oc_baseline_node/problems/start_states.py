@@ -13,7 +13,7 @@ _TRIES = 10_000
 
 
 def state_space(problem: OptimalControlProblem) -> Array:
-    """Return least and largest start (2, n): the problem's bounds, the model's own where the problem has none."""
+    """Return minimum and maximum start (2, n): the problem's bounds, the model's own where the problem has none."""
     own = np.array([[s.lower for s in problem.system.states], [s.upper for s in problem.system.states]])
     space = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, own)
     if not np.isfinite(space).all():
@@ -24,15 +24,15 @@ def state_space(problem: OptimalControlProblem) -> Array:
 
 
 def draw_episode_start(problem: OptimalControlProblem, random: np.random.Generator) -> Array:
-    """Return one state (n,) from where the task's episodes start, in the problem's coordinates."""
+    """Draw one state (n,) from the task's start set, in the problem's coordinates."""
     return problem.task.start.region.sample(problem.system.state_names, random)
 
 
 def draw_start(problem: OptimalControlProblem, random: np.random.Generator) -> Array:
-    """Return one state (n,) drawn uniformly from the state space less the obstacles grown by d_min.
+    """Draw one state (n,) uniformly from the state space outside the obstacles grown by d_min.
 
     Raises:
-        OcError: there is hardly any free space.
+        OcError: There is hardly any free space.
     """
     low, high = state_space(problem)
     for _ in range(_TRIES):

@@ -26,16 +26,16 @@ _MAIN = ("oc_ppo", "ppo", "oc_corrected")
 
 @dataclass(frozen=True, kw_only=True)
 class Train(SimulatedOptions):
-    """Learn a task's sparse reward with policy gradients, from several seeds; go on where it was cut off."""
+    """Learn a task's sparse reward with policy gradients, from several seeds; an interrupted run continues."""
 
     folder: FolderToWrite = Path("runs/oc_training")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has a subfolder and continues there where it stopped."""
     methods: Annotated[tuple[str, ...], some_of(METHODS)] = ()
     """Methods to learn with (default: oc_ppo ppo oc_corrected)."""
     compare: Annotated[tuple[str, ...], some_of([*GROUPS, "all"])] = ()
-    """Figures or tables of the thesis whose methods learn, instead of --methods."""
+    """Figures or tables of the thesis whose methods to learn with, instead of --methods."""
     value: Path | None = None
-    """Network of V_oc that `oc fit` wrote (default: the one that comes with the package)."""
+    """Network of V_oc that `oc fit` wrote (default: the one in the package)."""
 
 
 @dataclass(frozen=True, kw_only=True)

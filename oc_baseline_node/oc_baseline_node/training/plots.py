@@ -34,14 +34,14 @@ _OfSeed = Annotated[list[_Updates], Field(min_length=1, max_length=100_000)]
 
 
 class Learnt(Figures):
-    """What learnt paths are drawn from."""
+    """Data for pictures of learnt paths."""
 
     curves: dict[str, ReturnCurve]
     paths: dict[str, list[DrivenPath]]
 
 
 class Learning(Learnt):
-    """What is drawn of learning, see `results.collect`."""
+    """Data for pictures of learning, see `results.collect`."""
 
     advantages: dict[str, Annotated[list[_OfSeed], Field(min_length=1)]]
 
@@ -55,7 +55,7 @@ class Learning(Learnt):
 
 
 def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> Iterator[Path]:
-    """Draw what the results of a task hold and return the files; methods that were not run are left out."""
+    """Draw all pictures of a task's results and return their files; methods that were not run are left out."""
     for group, methods in GROUPS.items():
         there = [name for name in METHODS if name in methods and name in figures["curves"]]
         if len(there) > 1 and (group == "ablation" or not set(there) <= set(_MAIN)):
@@ -70,7 +70,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
 
 
 def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) -> Iterator[Path]:
-    """Draw success and return of some methods while they learnt, a picture each, and return the files."""
+    """Draw the success and the return of methods while learning, and return the two files."""
     for key, measure, file in (("success", SUCCESS, path), ("total", RETURN, path.with_stem(f"{path.stem}_return"))):
         lines = [line_of(name, METHODS[name].label, figures["curves"][name], key) for name in methods]
         draw_learning(file, f"{figures['task']}: {best_of(lines, measure)}", [Panel("", lines[:MOST_LINES])], measure)

@@ -1,4 +1,4 @@
-"""Value data: a folder of chunks, each some solved trajectories, and their values (thesis Eq. 3.13).
+"""Value data: a folder of chunks of solved trajectories, and their values (thesis Eq. 3.13).
 
 Reading them needs no solver; `oc_baseline_node.value_data.workers` makes them.
 """
@@ -37,9 +37,9 @@ from oc_baseline_node.values.returns import returns, rewards, step_discount
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
 LOCK = ".lock"
-"""File of a folder of value data that keeps a second call out."""
+"""File in a folder of value data that locks out a second call."""
 DOOMED = "cannot keep clear for a second, goal or not"
-"""Reason of doomed starts."""
+"""Reason given for doomed starts."""
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[+-]?\d+)?(?![\w.])")
 _LARGEST_CHUNK = 2_000_000_000
 """Bytes of the arrays of a chunk."""
@@ -50,7 +50,7 @@ _KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unso
 
 
 class _Description(Schema):
-    """Description in a folder of value data, its settings.json."""
+    """Content of settings.json in a folder of value data."""
 
     format: Literal["oc-value-data-1"]
     task: Name
@@ -72,7 +72,7 @@ class DataSettings:
         seed: Seed of the starts, zero or more.
 
     Raises:
-        OcError: there would be nothing to make.
+        OcError: There would be nothing to make.
     """
 
     trajectories: int
@@ -98,17 +98,17 @@ class DataSettings:
 
 @dataclass(frozen=True)
 class ValueData:
-    """Solved trajectories and the starts from which there was none.
+    """Solved trajectories, and starts without one.
 
     Attributes:
         states: States of the solved trajectories (N, H+1, n).
         controls: Controls of the solved trajectories (N, H, m).
         time_steps: Durations of their steps (N,) [s].
-        cpu_seconds: Processor time of each solved trajectory (N,) [s].
+        cpu_seconds: CPU time of each solved trajectory (N,) [s].
         unsolved: Starts without a trajectory (K, n).
         reasons: Status of the solver for each start without a trajectory.
-        doomed: Whether such a start cannot even keep clear of obstacles and bounds for a second, goal or not (K,).
-        wasted_seconds: Processor time spent on the starts without a trajectory (K,) [s].
+        doomed: Whether such a start cannot stay clear of obstacles and bounds for even a second (K,).
+        wasted_seconds: CPU time spent on each start without a trajectory (K,) [s].
     """
 
     states: Array
@@ -122,38 +122,38 @@ class ValueData:
 
     @property
     def starts(self) -> int:
-        """Number of random starts, with a trajectory or without."""
+        """Number of random starts, with or without a trajectory."""
         return len(self.states) + len(self.unsolved)
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Number of starts without a trajectory by reason, the most frequent first; doomed ones are one reason."""
+        """Number of starts without a trajectory by reason, the most frequent first; all doomed ones count as one."""
         kinds = (DOOMED if hopeless else _NUMBER.sub("...", reason)
                  for reason, hopeless in zip(self.reasons, self.doomed, strict=True))  # fmt: skip
         return dict(Counter(kinds).most_common())
 
     @property
     def success_rate(self) -> float:
-        """Fraction of the random starts from which a trajectory was found."""
+        """Fraction of random starts with a trajectory."""
         return len(self.states) / self.starts
 
     @property
     def success_rate_of_viable(self) -> float:
-        """Fraction of the starts that are not doomed from which a trajectory was found."""
+        """Fraction of starts with a trajectory among those that are not doomed."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
     def samples(
         self, problem: OptimalControlProblem, discount: float | None = None, whole_horizon: bool = False
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13 and whether an episode meets it (N, H+1).
+        """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13, and whether an episode visits it (N, H+1).
 
-        After its first goal, trap or collision an episode is over: what a trajectory does then is no state of it.
+        An episode ends with its first goal, trap or collision; it does not visit later states of the trajectory.
 
         Args:
-            problem: Optimal control problem of the task that pays the rewards.
+            problem: Optimal control problem of the task with the rewards.
             discount: Discount of one step of the task's policy; the task's own unless given.
-            whole_horizon: Whether the sum goes on after arrival, to the horizon's end, as the thesis may be read; every
-                state counts then.
+            whole_horizon: Whether the sum continues after arrival to the end of the horizon, as the thesis may be read;
+                every state then counts.
         """
         states = problem.task_states(self.states)
         paid, ended = rewards(problem.task, states)
@@ -165,7 +165,7 @@ class ValueData:
 
 
 def description(problem: OptimalControlProblem, settings: DataSettings) -> dict[str, Any]:
-    """Return the description of a folder of value data: other settings need another folder."""
+    """Return the description of value data; other settings need another folder."""
     return {
         "format": FORMAT,
         "task": problem.task.name,
@@ -184,10 +184,10 @@ def chunk_file(folder: Path, index: int) -> Path:
 
 
 def write_chunk(folder: Path, index: int, data: ValueData) -> None:
-    """Write a chunk, whole or not at all.
+    """Write a chunk atomically.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: The file cannot be written.
     """
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ValueData.__annotations__}
     arrays["reasons"] = np.array(data.reasons, dtype=np.str_)
@@ -195,10 +195,10 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for value data, if it is not there.
+    """Make a folder for value data, unless it exists.
 
     Raises:
-        OcError: it holds something else; what a killed call leaves behind does not count.
+        OcError: It holds something else, apart from what a killed call leaves behind.
         OSError: it cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -208,9 +208,9 @@ def make_folder(folder: Path) -> None:
 
 
 def open_folder(folder: Path, problem: OptimalControlProblem, settings: DataSettings) -> list[int]:
-    """Begin or take up value data in a folder of `make_folder` and return the chunks that it still lacks.
+    """Begin or continue value data in a folder of `make_folder`; return the missing chunks.
 
-    Only whoever has the folder's lock may: what a killed call left half-written is removed.
+    The caller must hold the folder's lock, because half-written files of a killed call are removed.
 
     Raises:
         OcError: the folder holds data of other settings.
@@ -266,7 +266,7 @@ def load_data(folder: Path, problem: OptimalControlProblem) -> ValueData:
 
 
 def join(parts: list[ValueData]) -> ValueData:
-    """Return several chunks as one."""
+    """Join chunks."""
     names = [name for name in ValueData.__annotations__ if name != "reasons"]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return ValueData(reasons=tuple(reason for part in parts for reason in part.reasons), **arrays)

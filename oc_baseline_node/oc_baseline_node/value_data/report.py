@@ -1,4 +1,4 @@
-"""What value data and a fit are like: lines for a terminal, and rows of a results file."""
+"""Reports on value data and a fit: lines for a terminal, and rows of a results file."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from oc_baseline_node.value_data.dataset import ValueData
 from oc_baseline_node.values.mlp_value import MlpValue
 
 _EPISODES = 10
-"""Starts of an episode that `oc data` tries."""
+"""Number of episode starts that `oc data` tries."""
 
 
 def remarks(problem: OptimalControlProblem, rounded: tuple[str, ...]) -> list[str]:
-    """Return lines on what was taken that the task file does not name, and on what differs from the model.
+    """Return lines about controls that the task file does not bound, and about smoothed operations of the model.
 
     Args:
         problem: Optimal control problem.
-        rounded: Operations of the model that were rounded off.
+        rounded: Operations of the model that were smoothed.
     """
     lines = [
         f"control       {control.name} {control.lower:g} .. {control.upper:g} {control.unit}: {source}\n"
@@ -33,7 +33,7 @@ def remarks(problem: OptimalControlProblem, rounded: tuple[str, ...]) -> list[st
 
 
 def start_set(problem: OptimalControlProblem, seed: int) -> str:
-    """Say from how many starts of an episode there is a trajectory: the data are drawn from the whole map."""
+    """Report how many episode starts have a trajectory; the data's own starts cover the whole map."""
     from oc_baseline_node.mpc.mpc import Mpc
 
     mpc, random = Mpc(problem), np.random.default_rng(seed)
@@ -44,7 +44,7 @@ def start_set(problem: OptimalControlProblem, seed: int) -> str:
 
 
 def report(data: ValueData) -> str:
-    """Say how many starts have a trajectory, and why the others have none."""
+    """Report how many starts have a trajectory, and why the others have none."""
     solved, in_all = len(data.states), data.cpu_seconds.sum() + data.wasted_seconds.sum()
     lines = [
         f"trajectories  {solved} of {data.states.shape[1] - 1} steps",
@@ -59,7 +59,7 @@ def report(data: ValueData) -> str:
 
 
 def value_rows(data: ValueData, value: MlpValue) -> list[Result]:
-    """Return rows that tell how the data came about and how well V_oc fits them; the thesis has 800 x 140 states."""
+    """Return rows about making the data and about the error of V_oc on them; the thesis has 800 x 140 states."""
     count, horizon = len(data.states), data.states.shape[1] - 1
     tried, doomed = data.starts, int(data.doomed.sum())
     unseen, seconds = value.manifest["held_out"], data.cpu_seconds

@@ -1,4 +1,4 @@
-"""Fitting V_oc to value data: an MLP of 64 x 64 tanh units, tested on whole trajectories it has not seen (3.3.2)."""
+"""Fits V_oc to value data: an MLP of 64 x 64 tanh units, tested on trajectories it has not seen (3.3.2)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 _FINE = {"position": 81, "angle": 36, "rate": 21}
 _COARSE = {"position": 21, "angle": 18, "rate": 7}
 _TESTED = 80
-"""Trajectories to measure the error on, where it can be had: few err much, and of a handful there may be none."""
+"""Number of test trajectories, if there are enough: few have large errors, so a handful may have none."""
 _MOST_FOLDS = 5
 _RESAMPLED = 1000
 _LARGE = 3
-"""State components up to which the sampled grid is fine."""
+"""Maximum number of state components with a fine grid."""
 
 
 @dataclass(frozen=True)
@@ -58,19 +58,19 @@ class FitSettings:
 def fit(
     problem: OptimalControlProblem, data: ValueData, settings: FitSettings | None = None, progress: bool = True
 ) -> MlpValue:
-    """Return V_oc fitted to value data up to each arrival; its manifest tells the error on held-out trajectories.
+    """Fit V_oc to value data up to each arrival; its manifest has the error on held-out trajectories.
 
-    A tenth of a few trajectories is too few to tell the error by. Then others are held out in turn, from up to four
-    more networks fitted alike, and the error is that of all of them.
+    A tenth of few trajectories is too little to measure the error. Then up to four more networks are fitted in the same
+    way, each with other trajectories held out, and the error covers all of them.
 
     Args:
-        problem: that the data solve.
-        data: trajectories; the states of each that an episode would meet are samples.
+        problem: Optimal control problem of the data.
+        data: Trajectories; samples are the states that an episode would visit.
         settings: Settings of the fit; the defaults unless given.
-        progress: whether to show a bar.
+        progress: Whether to show a bar.
 
     Raises:
-        OcError: too few trajectories to hold some out.
+        OcError: There are too few trajectories to hold some out.
     """
     settings = settings or FitSettings()
     discount = problem.discount if settings.discount is None else settings.discount
@@ -113,7 +113,7 @@ def fit(
 def _fit_once(
     problem: OptimalControlProblem, axes: tuple[Axis, ...], x: Array, y: Array, settings: FitSettings, progress: bool
 ) -> MlpValue:
-    """Return a network fitted to values (N,) at states (N, n)."""
+    """Fit a network to values (N,) at states (N, n)."""
     offset, scale = float(y.mean()), float(max(y.std(), 1e-9))
     inputs = features(axes, x)
     middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
@@ -124,7 +124,7 @@ def _fit_once(
 
 
 def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
-    """Return the axes of V_oc: what the walls enclose, whole turns, and rates as far as trajectories (..., n) reach."""
+    """Return the axes of V_oc: the area within walls, full turns, and rates as far as trajectories (..., n) reach."""
     space = state_space(problem)
     components, walls = problem.task.system.build().states, problem.task.plane_bounds
     counts = _FINE if len(components) <= _LARGE else _COARSE
@@ -145,8 +145,8 @@ def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
 
 
 def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[tuple[Array, Array], ...]:
-    """Return weights and biases of the layers trained to give y (N,) at x (N, F), both standardised."""
-    torch.set_num_threads(1)  # on small layers more threads only get into each other's way
+    """Train layers to map x (N, F) to y (N,), both standardised; return their weights and biases."""
+    torch.set_num_threads(1)  # more threads only slow small layers down
     generator = torch.Generator().manual_seed(settings.seed)
     linears = [nn.Linear(a, b) for a, b in zip((x.shape[1], *settings.hidden), (*settings.hidden, 1), strict=True)]
     with torch.no_grad():
@@ -183,7 +183,7 @@ def _error(network: MlpValue, states: Array, values: Array) -> Array:
 
 
 def _uncertainty(errors: list[Array], random: np.random.Generator) -> dict[str, float]:
-    """Return between which mean absolute errors [reward] 95 % of as many other trajectories would lie (bootstrap)."""
+    """Return the bootstrapped 95 % interval of the mean absolute error [reward] over trajectories."""
     sums, counts = np.array([error.sum() for error in errors]), np.array([len(error) for error in errors])
     drawn = random.integers(len(errors), size=(_RESAMPLED, len(errors)))
     means = sums[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1)
@@ -192,7 +192,7 @@ def _uncertainty(errors: list[Array], random: np.random.Generator) -> dict[str, 
 
 
 def _figures(error: Array, values: Array) -> dict[str, float]:
-    """Return root mean square, mean absolute and 95th percentile error [reward], and the values' own spread."""
+    """Return root mean square, mean absolute and 95th percentile error [reward], and the values' standard deviation."""
     return {
         "rmse": float(np.sqrt(np.mean(error**2))),
         "mae": float(error.mean()),

@@ -1,7 +1,7 @@
-"""Making value data from random starts (thesis 3.3.2), chunk by chunk, in several processes or on a Ray cluster.
+"""Makes value data from random starts (thesis 3.3.2), chunk by chunk, in several processes or on a Ray cluster.
 
-A chunk draws starts from its own generator until it has its share of solved trajectories, so that the data depend on
-seed and chunk size alone, not on how many processes made them or how often they were stopped.
+A chunk draws starts from its own generator until it has enough solved trajectories. The data thus depend only on seed
+and chunk size, not on the number of processes or on interruptions.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from oc_baseline_node.value_data.dataset import (
 
 _LOOK_AHEAD_S = 1.0
 _MOST_STARTS = 20
-"""Starts tried for each trajectory wanted, before a chunk gives up."""
+"""Maximum number of starts tried per trajectory before a chunk gives up."""
 
 
 class ChunkSolver:
-    """Makes chunks of a problem's value data; its programs are set up once."""
+    """Makes chunks of a problem's value data; sets up its programs once."""
 
     def __init__(self, problem: OptimalControlProblem, settings: DataSettings) -> None:
         self._problem = problem
         self._settings = settings
         self._mpc = Mpc(problem)
         look_ahead = max(1, round(_LOOK_AHEAD_S / problem.time_step))
-        # No goal that pulls into an obstacle: only to keep clear, at the least control.
+        # Without a goal that pulls into an obstacle: only stay clear with little control.
         self._clear = replace(
             problem, horizon=look_ahead, terminal=Region(), gamma=1.0, state_weight=0.0, trap_weight=0.0
         )
@@ -59,7 +59,7 @@ class ChunkSolver:
         """Return chunk `index`.
 
         Raises:
-            OcError: hardly any start has a trajectory.
+            OcError: Hardly any start has a trajectory.
         """
         random = np.random.default_rng([self._settings.seed, index])
         wanted = self._settings.size(index)
@@ -91,7 +91,7 @@ class ChunkSolver:
 
 
 _solver: ChunkSolver
-"""One to a worker process: setting up the programs takes as long as a chunk does."""
+"""One per worker process: setting up the programs takes as long as a chunk."""
 
 
 def make_data(
@@ -102,20 +102,20 @@ def make_data(
     progress: bool = True,
     ray: str | None = None,
 ) -> tuple[ValueData, float, float]:
-    """Make what a folder of value data still lacks and return all of it, with the wall and CPU seconds that it took.
+    """Complete a folder of value data; return all data, and the wall and CPU time this took [s].
 
     Args:
-        problem: to solve, as `formulate` made it.
+        problem: Optimal control problem, as `formulate` made it.
         settings: Number of trajectories, size of a chunk and seed.
-        folder: holds one file a chunk; what lies there is not made again.
-        workers: processes; with one everything happens in this one.
-        progress: whether to show a bar.
+        folder: Folder with one file per chunk; existing chunks are not made again.
+        workers: Number of processes; 1 for this process only.
+        progress: Whether to show a bar.
         ray: Address of a Ray cluster that solves as many chunks at a time as it can; None for processes.
 
     Raises:
         OcError: The folder holds something else, or hardly any start has a trajectory.
-        LockError: another call works in the folder.
-        WorkersError: a worker was killed.
+        LockError: Another call is working in the folder.
+        WorkersError: A worker was killed.
     """
     wall, cpu = time.monotonic(), _cpu_seconds()
     if ray is not None:
@@ -140,7 +140,7 @@ def make_data(
 def _finished(
     problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
 ) -> Iterator[tuple[int, float]]:
-    """Make the chunks and yield each one's index once its file is there, with what its solvers' processes took [s]."""
+    """Make the chunks; yield the index of each finished one and the CPU time of its solvers' processes [s]."""
     if not lacking:
         return
     terms = (problem.task, problem.form, problem.clearance, settings)
@@ -154,7 +154,7 @@ def _finished(
 def _finished_by_ray(
     address: str, problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int]
 ) -> Iterator[tuple[int, float]]:
-    """Let a cluster solve the chunks, write them here and yield each one's index, with no time: it passed there."""
+    """Solve the chunks on a cluster and write them here; yield the index of each, with no CPU time of this machine."""
     if not lacking:
         return
     solve = partial(_solve_there, (problem.task, problem.form, problem.clearance, settings))
@@ -173,7 +173,7 @@ def _solve_there(
 
 
 _prepared: list[Any] = []
-"""Terms of the solver that this worker has."""
+"""Settings of this worker's solver."""
 
 
 def _prepare(task: NavigationTask, form: Form, clearance: float, settings: DataSettings) -> None:
@@ -188,6 +188,6 @@ def _make(folder: Path, index: int) -> tuple[int, float]:
 
 
 def _cpu_seconds() -> float:
-    """Return CPU seconds of this process and of those it has waited for."""
+    """Return the CPU time of this process and its finished children [s]."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

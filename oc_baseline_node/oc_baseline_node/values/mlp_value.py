@@ -181,7 +181,7 @@ class MlpValue:
 
     @cached_property
     def _domain(self) -> tuple[Array, Array]:
-        """Least and largest state (n,); infinite for an angle, which wraps."""
+        """Minimum and maximum state (n,); infinite for an angle, which wraps."""
         low = np.array([-np.inf if axis.periodic else axis.lower for axis in self.axes])
         high = np.array([np.inf if axis.periodic else axis.upper for axis in self.axes])
         return low, high

@@ -1,4 +1,4 @@
-"""Values of states along trajectories (thesis Eq. 3.13), from the task's own rewards. NumPy only."""
+"""Values of states along trajectories (thesis Eq. 3.13) from the task's rewards. NumPy only."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Array = NDArray[np.float64]
 
 
 def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) -> Array:
-    """Return the discount of MPC steps that last `time_steps` [s] (...), given that of a step of the task's policy."""
+    """Return the discount of MPC steps of duration `time_steps` [s] (...), from that of a policy's step."""
     return np.power(discount, np.asarray(time_steps, dtype=float) / task.episode.time_step)
 
 
 def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
     """Return r(x) (Eq. 3.15, 3.17) and whether the episode ends there, both (...), for states (..., n)."""
     states = np.array(states, dtype=float)
-    for index, state in enumerate(task.system.build().states):  # regions know angles by their names, not other circles
+    for index, state in enumerate(task.system.build().states):  # regions know angles by name, but no other circles
         if state.periodic and state.name not in ANGLES and state.name in task.goal.region.intervals:
             middle = task.goal.region.intervals[state.name].centre
             states[..., index] = nearest_turn(states[..., index], middle, state.upper - state.lower)
@@ -39,8 +39,8 @@ def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:
     The sum stops at the first state that ends an episode, as the policy's does: H_j is the step of arrival.
 
     Args:
-        paid: r(x_0) .. r(x_H) (..., H+1).
-        ended: whether the episode ends there (..., H+1); all false for the sum over the whole horizon.
+        paid: Rewards r(x_0) .. r(x_H) (..., H+1).
+        ended: Whether the episode ends there (..., H+1); all False to sum over the whole horizon.
         discount: Discount of each step (...), or one for all.
     """
     paid, goes_on = np.asarray(paid, dtype=float), ~np.asarray(ended, dtype=bool)

@@ -34,7 +34,7 @@ _Error = Annotated[float, Field(ge=0.0, le=1e30)]
 
 
 class _Errors(Schema):
-    """Errors of the network on some values [reward]."""
+    """Errors of the network [reward]."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -44,7 +44,7 @@ class _Errors(Schema):
 
 
 class _Manifest(Schema):
-    """Data and settings that the network was fitted to; further keys are for readers."""
+    """Data and settings of the fit; further keys are informative."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -72,11 +72,11 @@ class _Header(Schema):
 
 
 def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
-    """Write a network; the file is there whole or not at all.
+    """Write a network atomically.
 
     Raises:
-        OcError: the file exists and `overwrite` is false.
-        OSError: it cannot be written.
+        OcError: The file exists and `overwrite` is False.
+        OSError: The file cannot be written.
     """
     if path.exists() and not overwrite:
         raise OcError(f"{path} exists: give another name, or ask to overwrite it")
@@ -85,16 +85,16 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
 
 
 def shipped_values() -> dict[str, Path]:
-    """Return the networks that come with the package, by the name of their task."""
+    """Return the networks that ship with the package, by task."""
     folder = Path(str(files("oc_baseline_node"))) / "values" / "pretrained"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def find_value(name_or_path: str | Path) -> Path:
-    """Return the file of a network that comes with the package, or the path itself.
+    """Return the file of a shipped network, or the path itself.
 
     Raises:
-        OcError: there is no such file.
+        OcError: There is no such file.
     """
     shipped = shipped_values()
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
@@ -107,10 +107,10 @@ def find_value(name_or_path: str | Path) -> Path:
 
 
 def load_value(path: Path) -> ValueFunction:
-    """Read a network or a value grid, whichever the file holds.
+    """Read a network or a value grid.
 
     Raises:
-        CtrlRlError: no such file, or it is neither; the message names it.
+        CtrlRlError: There is no such file, or it is neither.
     """
     with raise_as(OcError, path, "fit it again"):
         if HEADER_KEY not in kind_of(path):
@@ -123,7 +123,7 @@ def load_network(path: Path) -> MlpValue:
     """Read a network.
 
     Raises:
-        CtrlRlError: as `load_value`, or the file holds a grid.
+        CtrlRlError: As in `load_value`, or the file holds a grid.
     """
     value = load_value(path)
     if not isinstance(value, MlpValue):

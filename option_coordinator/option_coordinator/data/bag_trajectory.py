@@ -3,8 +3,8 @@
     for recording in recordings(Path("runs/mine/bag")):
         recording.digest, recording.trajectory
 
-No ROS is needed. A trajectory reaches neither across the end of an episode or of a coordinator's life (its epoch), nor
-across a decision that is missing, nor from one policy to another; the last step of each still knows what came of it.
+No ROS is needed. A trajectory ends with its episode, with its coordinator's epoch, at a missing decision, and where the
+policy changes; its last step still has its reward and next decision.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class TeamLayout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Consecutive decisions of one policy.
+    """Consecutive decisions by one policy.
 
     Attributes:
         team: Team that the decisions were made for.
-        digest: SHA-256 (hex) of the policy's file; empty for a scripted policy, and where the policy failed.
+        digest: SHA-256 (hex) of the policy's file; empty for a scripted policy, or if the policy failed.
         trajectory: Consecutive option steps of one episode.
     """
 
@@ -63,16 +63,16 @@ class Recording:
 
 
 def recordings(bag: Path) -> list[Recording]:
-    """Return what a bag holds, in the order in which it happened for each coordinator's life.
+    """Read a bag's recordings, in order for each coordinator's epoch.
 
     Raises:
         BagError: the bag cannot be read.
-        OptionError: it holds no decisions, or one that makes no sense.
+        OptionError: It holds no decisions, or an invalid one.
     """
     topics = [name for name, topic in bag_info(bag).topics.items() if topic.type == TYPE]
     if not topics:
         raise OptionError(f"{bag}: holds no topic of {TYPE}: record joint_option_step too")
-    # By number, not as they came: two coordinators may have spoken at a time, for a moment.
+    # By number, not by arrival: for a moment two coordinators may have decided at the same time.
     lives: dict[tuple[str, int], dict[int, _Step]] = {}
     for message in read_messages(bag, topics):
         with fields_of(f"{bag}: a message of {message.topic}"):
@@ -126,10 +126,10 @@ def _recording(part: Sequence[tuple[_Step, _Step]]) -> Recording:
 
 
 def _step(message: Any, where: str) -> _Step:
-    """Return a message's content.
+    """Parse and check a message.
 
     Raises:
-        OptionError: it makes no sense; begins with `where`.
+        OptionError: It is invalid; the message begins with `where`.
     """
     names, counts = tuple(message.agents), tuple(int(count) for count in message.option_counts)
     sizes = tuple(int(size) for size in message.observation_sizes)

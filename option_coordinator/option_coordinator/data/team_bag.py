@@ -1,4 +1,4 @@
-"""Bags of decisions without a ROS graph: the messages that a coordinator would have published.
+"""Writes bags of decisions without a ROS graph, with the messages that a coordinator would publish.
 
 with TeamBag(folder, environment.discount) as bag:
     bag.put(decision, options, log_prob)
@@ -41,7 +41,7 @@ class TeamBag:
         self._time, self._number = _BEGIN_NS, 0
 
     def put(self, decision: Decision, options: NDArray[np.int64], log_prob: float = 0.0, digest: str = "") -> None:
-        """Append a decision; where the episode is over, its options are those that still run.
+        """Append a decision; at the end of an episode its options are those that still run.
 
         Args:
             decision: Decision of a coordinator, or of an environment.
@@ -55,7 +55,7 @@ class TeamBag:
         self.write(self.fields(decision, options, log_prob, digest))
 
     def fields(self, decision: Decision, options: NDArray[np.int64], log_prob: float, digest: str) -> dict[str, Any]:
-        """Return the fields of a decision's message, but for its header."""
+        """Return the fields of a decision's message, except the header."""
         counts = [len(agent.options) for agent in decision.agents]
         return {
             "coordinator_epoch": 1,

@@ -1,7 +1,7 @@
 """Option-level joint trajectories (thesis Definition 1), recorded at decisions and used for learning.
 
-A step kappa holds s_kappa, o_kappa, the agents that chose, r_kappa and gamma^tau. It is the same whether it comes from
-a simulation or from a bag of `joint_option_step` messages.
+A step kappa holds s_kappa, o_kappa, the agents that chose, r_kappa and gamma^tau, whether it comes from a simulation or
+from a bag of `joint_option_step` messages.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class OptionTrajectory:
 
     @classmethod
     def of(cls, steps: Sequence[tuple[Any, Any, float, Any]]) -> Self:
-        """Return option steps as a trajectory; its last step ends it, whether or not the episode goes on.
+        """Make a trajectory of option steps; its last step counts as an end even if the episode goes on.
 
         Args:
             steps: For each, the decision, the joint option (N,), its log-probability and the next decision. Decisions
@@ -97,7 +97,7 @@ class OptionTrajectory:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return trajectories one after the other, each with an end of its own.
+        """Concatenate trajectories, each with its own end.
 
         Raises:
             OptionError: there is none.

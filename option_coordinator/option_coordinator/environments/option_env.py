@@ -50,11 +50,11 @@ class RobotDropout(NamedTuple):
 
 
 def draw_dropout(chance: float, agents: int, step_limit: int, generator: np.random.Generator) -> RobotDropout | None:
-    """Return the drop-out of an episode, None for none.
+    """Draw an episode's drop-out, or None.
 
     Args:
         chance: Probability of a drop-out, 0 to 1.
-        agents: Number of robots; each is as likely to drop out.
+        agents: Number of robots, all equally likely to drop out.
         step_limit: Step limit of the episode; a drop-out begins in its first quarter and lasts a quarter at most.
         generator: Random generator; unused if the probability is 0.
     """
@@ -73,7 +73,7 @@ class Span(NamedTuple):
         option: Name of the option.
         begin: Low-level step at which it began; a time [s] in a recording of robots.
         end: Low-level step at which it ended; a time [s] in a recording of robots.
-        finished: Whether it ended by itself, neither interrupted nor cut off with the episode.
+        finished: Whether it ended by itself, rather than by interruption or with the episode.
     """
 
     agent: str
@@ -91,16 +91,16 @@ class Trace:
     _open: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def begin(self, agent: str, option: str, step: int) -> None:
-        """Note that an agent begins an option."""
+        """Record that an agent begins an option."""
         self._open[agent] = (option, step)
 
     def end(self, agent: str, step: int, finished: bool) -> None:
-        """Note that it ended, or was interrupted."""
+        """Record that its option ended or was interrupted."""
         option, begin = self._open.pop(agent)
         self.spans.append(Span(agent, option, begin, step, finished))
 
     def close(self, step: int) -> None:
-        """Note that the episode is over."""
+        """Record that the episode is over."""
         for agent in list(self._open):
             self.end(agent, step, finished=False)
 

@@ -37,7 +37,7 @@ class OptionEpisode:
     figures: dict[str, Any] = field(default_factory=dict)
 
     def add(self, decision: Decision) -> None:
-        """Count what led to a decision."""
+        """Add the rewards and steps that led to a decision."""
         self.returned += sum(decision.rewards)
         self.steps += decision.duration
         self.decisions += 1
@@ -67,7 +67,7 @@ class RollOut:
         self.finished: list[OptionEpisode] = []
 
     def collect(self, policy: JointPolicy, samples: int) -> OptionTrajectory:
-        """Return the option steps that take at least `samples` low-level steps; the last episode goes on next time."""
+        """Collect option steps over at least `samples` low-level steps; the next call continues the last episode."""
         steps = []
         enough = self.samples + samples
         while self.samples < enough:
@@ -93,7 +93,7 @@ def play_episodes(
     seeds: range,
     at_end: Callable[[Decision], object] = lambda _: None,
 ) -> Iterator[OptionEpisode]:
-    """Yield an episode for each seed, played by any policy; `at_end` sees the last decision, which none answers."""
+    """Play an episode for each seed with any policy; `at_end` gets each last decision, which needs no answer."""
     for seed in seeds:
         decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:
@@ -105,11 +105,11 @@ def play_episodes(
 
 
 class JointDecisionPolicy:
-    """A joint policy used as a `DecisionPolicy`.
+    """Adapts a joint policy to `DecisionPolicy`.
 
     Args:
         policy: Joint policy that chooses.
-        generator: Random generator of the draws; without one the most likely options are chosen.
+        generator: Random generator of the draws; the most likely options without one.
     """
 
     def __init__(self, policy: JointPolicy, generator: np.random.Generator | None = None) -> None:

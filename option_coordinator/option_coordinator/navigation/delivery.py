@@ -1,4 +1,4 @@
-"""The work of one robot of a delivery team: its options, their rewards, and a reactive planner that drives it."""
+"""One robot's work in a delivery team: its options, their rewards, and the reactive planner that drives it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class ReactivePlanner:
     """Plans speed and turn rate towards a goal.
 
     Attributes:
-        speed: Largest forward speed [m/s].
-        turn: Largest turn rate [rad/s].
+        speed: Maximum forward speed [m/s].
+        turn: Maximum turn rate [rad/s].
         half_width: Half the width of the strip that must be free of obstacles [m].
         look_ahead: Distance for which the way must be free [m].
         stop: Distance from the robot's centre to an obstacle in front at which it stops [m].
@@ -46,7 +46,8 @@ class ReactivePlanner:
     def command(self, pose: Array, points: Array, place: tuple[float, float]) -> tuple[float, float]:
         """Return speed [m/s] and turn rate [rad/s].
 
-        The direction is the free one that is nearest to the place's, that to the right first: two that meet pass.
+        It takes the free direction nearest to the goal's, the right one first, so that two robots that meet pass each
+        other.
 
         Args:
             pose: Pose x, y [m], theta [rad] (3,).
@@ -68,7 +69,7 @@ class ReactivePlanner:
         return speed, turn
 
     def _free_direction(self, points: Array, bearing: float, reach: float) -> float | None:
-        """Return the direction nearest to a bearing in which the way is free, where none is then for half as far."""
+        """Return the free direction nearest to a bearing; if none is free, the one that is free for half as far."""
         for far in (reach, 0.5 * reach):
             for offset in np.deg2rad(np.arange(0, 111, 10)):
                 for direction in (bearing - offset, bearing + offset):
@@ -77,7 +78,7 @@ class ReactivePlanner:
         return None
 
     def _nearest(self, points: Array, direction: float) -> float:
-        """Return how far the strip in a direction is free [m]."""
+        """Return for how far the strip in a direction is free [m]."""
         c, s = math.cos(direction), math.sin(direction)
         along, aside = c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]
         inside = along[(np.abs(aside) < self.half_width) & (along > 0.0)]
@@ -85,7 +86,7 @@ class ReactivePlanner:
 
 
 def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Array:
-    """Return what a scan saw as points (n, 2) [m] in the frame of the pose: there they stay while the robot turns.
+    """Return a scan's echoes as points (n, 2) [m] in the frame of the pose, where they stay while the robot turns.
 
     Args:
         pose: Pose x, y [m], theta [rad] (3,) of the robot at the time of the scan.
@@ -105,7 +106,7 @@ def _seen_from(pose: Array, points: Array) -> Array:
 
 
 class Delivery:
-    """One robot's work. Times are seconds of any one clock.
+    """One robot's work. All times are from the same clock [s].
 
     Args:
         team: Team file of the robot's team.

@@ -28,11 +28,11 @@ from option_coordinator.protocol.option_client import ClientTimeouts, OptionClie
 from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock of timers that go on while the ROS clock is set or paused."""
+"""Clock for timers that must run while the ROS clock is set or paused."""
 
 
 def steady_time() -> float:
-    """Return the time since boot [s], which nobody sets and which goes on while the machine sleeps."""
+    """Return the time since boot [s]: it is never set, and it runs while the machine sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
@@ -43,7 +43,7 @@ class Clocks:
         node: Node whose ROS clock is read.
 
     Attributes:
-        task: Time in the robots' world, which also counts how often the ROS clock was set.
+        task: Time in the robots' world; it also counts how often the ROS clock was set.
     """
 
     def __init__(self, node: Node) -> None:
@@ -59,7 +59,7 @@ class Clocks:
 
 
 class OptionAgent:
-    """Asks for options in a robot's name, and lets its executor carry them out.
+    """Asks for options on behalf of a robot, and has its executor carry them out.
 
     Args:
         node: Node whose topics, timer and clock are used.
@@ -69,10 +69,10 @@ class OptionAgent:
         safe_option: Index of the option that runs while no grant comes.
         timeouts: Periods and waiting times; the defaults unless given.
         namespace: Namespace of the coordinator's topics; the node's own if empty.
-        team: Name of the team; may be empty if the coordinator's namespace holds only one team.
+        team: Name of the team; may be empty if the namespace has only one team.
 
     Attributes:
-        client: Client that speaks to the coordinator.
+        client: Client that talks to the coordinator.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class OptionAgent:
 
     @property
     def option(self) -> int | None:
-        """The option that was granted and runs, None for none."""
+        """The granted option that is running, or None."""
         running = self.client.state is AgentState.RUNNING and self.client.grant is not None
         return self.client.grant.option if running and self.client.grant is not None else None
 
@@ -116,7 +116,7 @@ class OptionAgent:
         Args:
             reward: Discounted reward of the option, as in `OptionResult`.
             steps: Number of low-level steps that the option took.
-            terminated: Whether the task is over for this robot, so that it asks no more.
+            terminated: Whether the task is over for this robot; it then asks no more.
         """
         self.client.ended(self._now(), OptionResult(reward, steps), terminated)
         self._send_due()

@@ -1,7 +1,7 @@
 """Agents with options, and the interface of a simulation that carries options out one low-level step at a time.
 
 An option is chosen once and then runs for as many steps as it takes (thesis 2.4.2). A `Simulation` knows the options'
-inner policies and how they end; it knows nothing of who chooses them, nor when.
+inner policies and how they end, but not who chooses them, or when.
 """
 
 from __future__ import annotations
@@ -138,13 +138,13 @@ NONE = -1
 
 @dataclass(frozen=True, eq=False)
 class PolicyQuery:
-    """What a policy is asked at a decision.
+    """A question to a policy: who chooses, what the others run, and what is legal.
 
     Attributes:
-        observation: Observations of all agents, one after the other (D,).
+        observation: Observations of all agents, concatenated (D,).
         choosing: Whether each agent is ready and chooses, U_kappa (N,).
         running: Option that each agent runs, `NONE` for agents that are ready or absent (N,).
-        legal: Whether each option is legal (N, K), with K the largest number of options: those that an idle agent may
+        legal: Whether each option is legal (N, K), with K the maximum number of options: those that an idle agent may
             begin, all options of an agent that runs one, False beyond an agent's last option.
     """
 
@@ -164,7 +164,7 @@ class Decision(PolicyQuery):
     Attributes:
         agents: All N robots, in the policy's order.
         present: Whether each agent is present; absent agents neither choose nor run an option (N,).
-        reward: Discounted sum of the joint rewards since the last decision, sum_i gamma^i r_i (0 at a reset).
+        reward: Discounted joint reward since the last decision, sum_i gamma^i r_i (0 at a reset).
         rewards: Joint reward of each low-level step since the last decision.
         discount: Discount gamma^tau of this decision's value, seen from the last decision.
         terminated: Whether the task is over.

@@ -27,8 +27,8 @@ def linear(tensors: Tensors, name: str, x: Array) -> Array:
 
 
 def layer_norm(tensors: Tensors, name: str, x: Array) -> Array:
-    """Return x (..., n) brought to mean 0 and variance 1 over its components, then scaled and shifted."""
-    size = x.shape[-1]  # sums, as means take thrice as long where there are few numbers
+    """Normalise x (..., n) to mean 0 and variance 1 over its components, then scale and shift it."""
+    size = x.shape[-1]  # sums, because means take three times as long on few numbers
     centred = x - x.sum(axis=-1, keepdims=True) / size
     scale = np.sqrt((centred * centred).sum(axis=-1, keepdims=True) / size + _EPSILON)
     return np.asarray(centred / scale * tensors[f"{name}.weight"] + tensors[f"{name}.bias"])
@@ -43,15 +43,15 @@ def features(tensors: Tensors, x: Array) -> Array:
 
 
 def part(tensors: Tensors, prefix: str) -> dict[str, Array]:
-    """Return the tensors whose names begin with a prefix, without it."""
+    """Return the tensors whose names begin with a prefix, which is removed."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 class NetworkPolicy(JointPolicy):
-    """A joint policy with MAPPO's trunk, which observes what the trunk's first norm takes.
+    """A joint policy with MAPPO's trunk; the first norm's size is the observation's.
 
     Args:
-        tensors: Tensors of the trunk and of the head, by the names that the subclass gives.
+        tensors: Tensors of the trunk and of the subclass's head, by name.
         counts: Number of options of each agent.
     """
 

@@ -1,7 +1,7 @@
-"""Partially centralised choice (thesis Eq. 5.5): each agent by its own observation, knowing what the others run.
+"""Partially centralised choice (thesis Eq. 5.5): each agent knows its own observation and what the others run.
 
-Agent i has a joint policy pi^i of its own, asked for its option alone: pi^i(o_i, o_not-U | s_i) / pi^i(o_not-U | s_i).
-Agents that choose at the same moment do not know of each other's choice.
+Agent i asks its own joint policy pi^i for its option only: pi^i(o_i, o_not-U | s_i) / pi^i(o_not-U | s_i). Agents that
+choose at the same moment do not know each other's choice.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from option_coordinator.policies.joint_policy import Array, Conditional, JointOp
 
 
 class Partial(JointPolicy):
-    """A joint policy for each agent, used for that agent's own choice.
+    """One joint policy per agent, for that agent's choice.
 
     Args:
         policies: Joint policies over all agents' options, one for each agent, by its own observation.
@@ -62,7 +62,7 @@ class _PartialConditional(Conditional):
 
 
 class Presence(JointPolicy):
-    """A joint policy whose network sees N more numbers: 1 for an agent that is present, 0 for an absent one.
+    """A joint policy whose network gets N further inputs: 1 for each agent that is present, else 0.
 
     An agent is present if it chooses or runs an option.
 
@@ -82,5 +82,5 @@ class Presence(JointPolicy):
 
 
 def with_presence(observation: Array, present: Mask) -> Array:
-    """Return observations (..., D) and who is there (..., N) as the network sees them (..., D + N)."""
+    """Concatenate observations (..., D) and presence (..., N) to the network's input (..., D + N)."""
     return np.concatenate((observation, present.astype(observation.dtype)), axis=-1)

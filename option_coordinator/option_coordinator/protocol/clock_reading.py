@@ -1,8 +1,8 @@
 """The time of an event on three clocks. No ROS.
 
-Silence is measured on a steady clock, which nobody sets. The duration of an option is measured in the time of the world
-in which it runs, because a simulation may be faster than the wall, or paused. Messages are stamped by the ROS clock,
-which may be set at any time.
+Silence is measured on a steady clock, which is never set. An option's duration is measured in the time of its world,
+because a simulation may be paused, or faster than real time. Messages are stamped by the ROS clock, which may be set at
+any time.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class ClockReading(NamedTuple):
 
 
 class TaskTime:
-    """Time that passes in the robots' world [s]: from 0, never backwards, and not where a clock is set.
+    """Time in the robots' world [s]: it starts at 0, never runs backwards, and ignores changes of the clock.
 
-    Without simulated time it is steady time. With it, steps back, and steps ahead of more than 10 s that are more than
-    100 times as long as the wall's, are taken for a clock that was set: no time passes then.
+    Without simulation it is steady time. In a simulation, a step back, or a step ahead of more than 10 s and more than
+    100 times real time, counts as a change of the clock: no time passes then.
 
     Attributes:
         jumps: Number of times that the clock was set.
@@ -48,7 +48,7 @@ class TaskTime:
         Args:
             stamp: ROS's clock [s].
             steady: Steady clock [s].
-            simulated: Whether ROS's clock is that of a simulation.
+            simulated: Whether the ROS clock is simulated.
         """
         before, self._read = self._read, (simulated, stamp, steady)
         if before is None or before[0] != simulated:

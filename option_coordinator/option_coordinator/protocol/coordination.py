@@ -1,9 +1,9 @@
-"""A coordinator of options: grants them to robots that ask when they are ready (thesis Algorithm 3). No ROS, no clock.
+"""A coordinator that grants options to robots when they are ready and ask (thesis Algorithm 3). No ROS, no clock.
 
-A coordinator listens for a lease before it decides anything, and for as long as another one decides (see `election`) or
-a robot was not heard yet. Robots say what they run and the highest epoch that they have seen; the coordinator's own
-epoch is above that, and robots obey the highest one only. The coordinator believes what a robot says that it runs: a
-grant that was on its way when a coordinator died is adopted, never given twice.
+Before a coordinator decides anything it listens for a lease, until no other coordinator decides (see `election`) and
+every robot was heard. Robots report what they run and the highest epoch they have seen; the coordinator takes a higher
+one, and robots obey only the highest. The coordinator believes what robots say they run: a grant that was on its way
+when a coordinator died is adopted, never given twice.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from option_coordinator.protocol.grants import (
     NOTHING_SAFE,
     NUMBER_LEAPS,
     TASK_OVER,
-    Journal,
+    EpisodeRecorder,
     Refusal,
     refusal_of,
     refused_grant,
     standing_grant,
 )
-from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.ledger import RobotState, State
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     Answers,
@@ -40,7 +40,7 @@ from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec, Tea
 
 
 class Coordinator(Replica):
-    """Decides for a team. Its methods return the messages to send; call `tick` often, every few milliseconds.
+    """Decides for a team. Its methods return the messages to send; call `tick` every few milliseconds.
 
     Args:
         robots: Robots, in the policy's order.
@@ -75,16 +75,16 @@ class Coordinator(Replica):
 
     @property
     def batches(self) -> bool:
-        """Whether a request waits for others to be decided with."""
+        """Whether a request waits to be decided together with others."""
         return self._due < math.inf
 
     def replace_policy(self, policy: PolicyFn, digest: str) -> None:
-        """Decide by another policy from the next decision on."""
+        """Use another policy from the next decision on."""
         self._policy, self.digest = policy, digest
         self.counts["policies replaced"] += 1
 
     def on_request(self, request: Request, now: ClockReading) -> Answers:
-        """Take a request: it is answered as before, refused with a reason, or decided, at once or by `end_batch`."""
+        """Handle a request: repeat its answer, refuse it, or decide it, now or in `end_batch`."""
         entry = self._hear(request, now)
         if isinstance(entry, Refusal):
             return self._refuse(request, now, entry) if self._decides(now) else Answers()
@@ -99,9 +99,9 @@ class Coordinator(Replica):
         return Answers()
 
     def on_status(self, status: Status, now: ClockReading) -> Answers:
-        """Take a heartbeat: a sign of life, an acknowledgement, or news of what a robot runs."""
+        """Handle a heartbeat: a sign of life, an acknowledgement, or news about what a robot runs."""
         entry = self._hear(status, now)
-        if not isinstance(entry, Entry):
+        if not isinstance(entry, RobotState):
             return Answers()
         if entry.leaps(status.request_id):
             self.counts["request number leaps"] += 1
@@ -119,7 +119,7 @@ class Coordinator(Replica):
         return Answers()
 
     def tick(self, now: ClockReading) -> Answers:
-        """Let time pass: take over, decide, repeat what was not acknowledged, call off what takes too long."""
+        """Advance time: take over, decide, repeat unacknowledged grants, cancel options that take too long."""
         if self._quiet(now):
             return Answers()
         for entry in self.ledger.values():
@@ -130,7 +130,7 @@ class Coordinator(Replica):
         if not self.epoch:
             return Answers()
         if listened:
-            self._journal = self._new_journal(now)
+            self._recorder = self._new_recorder(now)
         grants = [grant for entry in self.ledger.values() for grant in self._overdue(entry, now)]
         decided = self._decide_when_due(now)
         return Answers(
@@ -140,23 +140,23 @@ class Coordinator(Replica):
         )
 
     def end_batch(self, now: ClockReading) -> Answers:
-        """Decide for all that have asked, where their time to wait for others is over."""
+        """Decide all requests whose time to wait for others is over."""
         return self._decide_when_due(now) if self._decides(now) else Answers()
 
     def close(self, now: ClockReading) -> Answers:
-        """Cut the episode off: return its last step if one has begun and is not over."""
-        return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._journal.open else [])
+        """End the episode; return its last step if one has begun and is not over."""
+        return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._recorder.open else [])
 
     def _forget(self, now: ClockReading) -> None:
         super()._forget(now)
-        self._journal = self._new_journal(now)
+        self._recorder = self._new_recorder(now)
         self._due = math.inf
 
-    def _new_journal(self, now: ClockReading) -> Journal:
-        return Journal(now.task, self._timeouts.time_step, self._discount)
+    def _new_recorder(self, now: ClockReading) -> EpisodeRecorder:
+        return EpisodeRecorder(now.task, self._timeouts.time_step, self._discount)
 
-    def _answer(self, entry: Entry, request: Request, refusal: Refusal | None, now: ClockReading) -> Answers:
-        """Answer a robot that was heard, in this coordinator's epoch."""
+    def _answer(self, entry: RobotState, request: Request, refusal: Refusal | None, now: ClockReading) -> Answers:
+        """Answer the request of a known robot in this epoch."""
         if request.coordinator_epoch > self.epoch:  # the robot would not obey
             self.counts["requests of higher epochs"] += 1
             return Answers()
@@ -182,16 +182,16 @@ class Coordinator(Replica):
         self.counts[f"refused: {refusal.kind}"] += 1
         return Answers([refused_grant(request, refusal, self.epoch, self.team, now)])
 
-    def _credit(self, entry: Entry, request: Request) -> None:
-        """Count, once, what the robot's last option brought."""
+    def _credit(self, entry: RobotState, request: Request) -> None:
+        """Credit the reward of the robot's last option, once."""
         if entry.option == NONE:
             return
         longest = self._robots[entry.agent].durations[entry.option]
-        if not self._journal.credit(request.option_reward, entry.granted_at, longest):
+        if not self._recorder.credit(request.option_reward, entry.granted_at, longest):
             self.counts["rewards too large"] += 1
 
-    def _finish(self, entry: Entry, request: Request, now: ClockReading) -> Answers:
-        """Note that the task is over for a robot; the last one's word closes the episode."""
+    def _finish(self, entry: RobotState, request: Request, now: ClockReading) -> Answers:
+        """Record that the task is over for a robot; the last robot's report ends the episode."""
         if entry.done:
             return self._refuse(request, now, TASK_OVER)
         if math.isfinite(request.option_reward):
@@ -203,8 +203,8 @@ class Coordinator(Replica):
         steps = [] if at_work else [self._last_step(now, terminated=True)]
         return Answers(self._refuse(request, now, TASK_OVER).grants, steps)
 
-    def _believe(self, entry: Entry, status: Status, now: ClockReading) -> None:
-        """Acknowledge a grant, or adopt one that this coordinator has not given."""
+    def _believe(self, entry: RobotState, status: Status, now: ClockReading) -> None:
+        """Record an acknowledgement, or adopt a grant of another coordinator."""
         durations = self._robots[entry.agent].durations
         if not 0 <= status.option < len(durations) or status.grant_id < 1:
             self.counts["impossible statuses"] += 1
@@ -219,8 +219,8 @@ class Coordinator(Replica):
         entry.adopt(status, now.task - elapsed, now.stamp - elapsed, now.steady)
         self.counts["adopted grants"] += 1
 
-    def _overdue(self, entry: Entry, now: ClockReading) -> list[Grant]:
-        """Return the grant or the cancellation that a robot must be sent, or sent again."""
+    def _overdue(self, entry: RobotState, now: ClockReading) -> list[Grant]:
+        """Return the grant or cancellation to send to a robot, perhaps again."""
         if not entry.runs:
             return []
         duration = self._robots[entry.agent].durations[entry.option]
@@ -233,11 +233,11 @@ class Coordinator(Replica):
         entry.repeat_at = now.steady + self._timeouts.repeat
         return [self._grant_of(entry, now)]
 
-    def _grant_of(self, entry: Entry, now: ClockReading) -> Grant:
+    def _grant_of(self, entry: RobotState, now: ClockReading) -> Grant:
         return standing_grant(entry, self._robots[entry.agent], self.epoch, self.team, now)
 
     def _all_wait(self) -> bool:
-        """Whether every robot that is heard waits, so that no other request can follow."""
+        """Whether every robot that is heard waits, so that no further request can arrive."""
         return all(
             entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger.values()
         )
@@ -246,7 +246,7 @@ class Coordinator(Replica):
         return self._decide(now) if now.steady >= self._due else Answers()
 
     def _decide(self, now: ClockReading) -> Answers:
-        """Decide for all robots that wait and are heard; a robot that fell silent asks again when it returns."""
+        """Decide for all waiting robots that are heard; a silent robot asks again when it returns."""
         self._due = math.inf
         waiting = (entry for entry in self.ledger.values() if entry.state is State.WAITING)
         requests = {entry.agent: entry.pending for entry in waiting if entry.pending is not None}
@@ -268,10 +268,10 @@ class Coordinator(Replica):
         if all(grant.status is GrantStatus.REFUSED for grant in grants):
             return Answers(grants)
         digest = self.digest if answer.by_policy else ""
-        return Answers(grants, [self._journal.step(now, self.epoch, query, running, answer.log_probability, digest)])
+        return Answers(grants, [self._recorder.step(now, self.epoch, query, running, answer.log_probability, digest)])
 
     def _last_step(self, now: ClockReading, terminated: bool) -> JointStep:
         query = self._query.of({}, self.ledger)
-        return self._journal.step(
+        return self._recorder.step(
             now, self.epoch, query, query.running, terminated=terminated, truncated=not terminated
         )

@@ -1,12 +1,12 @@
-"""Leader election: of coordinators that hear each other the one with the highest epoch decides. No ROS, no clock.
+"""Leader election: among coordinators that hear each other, the one with the highest epoch decides. No ROS, no clock.
 
-Who listens takes over once it has heard nobody decide for a lease, in an epoch above all that it has seen. Who decides
-says so several times a lease, and listens again when it sees an epoch above its own.
+A listener takes over once it has heard no decider for a lease, in an epoch above all it has seen. A decider announces
+itself several times per lease, and listens again when it sees a higher epoch.
 
-So one stays, however many there are and whenever they begin, once words arrive within a lease: all that decide but the
-highest step down when they hear it, nobody takes over who hears it, and nobody is above it, since only taking over
-makes a new epoch. A dead one is replaced after a lease. That others are *not* there is never concluded from anything
-but a lease of silence: what the middleware knows of its peers can be seconds old.
+If messages arrive within a lease, exactly one decider remains, however many coordinators there are and whenever they
+start: all deciders but the highest step down when they hear it, no listener that hears it takes over, and no epoch is
+higher, because only a take-over makes a new one. A dead decider is replaced after a lease. Only a lease of silence
+proves that others are absent: what the middleware knows about its peers can be seconds old.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _CANDIDATES = 16
 
 
 class Epochs:
-    """The highest epoch that is believed. One wrong message must not raise it beyond every coordinator's reach.
+    """The highest epoch believed. One corrupt message must not raise it beyond every coordinator's reach.
 
-    A rise of up to 16 take-overs is believed at once, and so is the first epoch that is heard. A leap above that is
-    believed once the same epoch has been heard for a lease: a coordinator says its own several times a lease.
+    A rise by up to 16 take-overs is believed at once, as is the first epoch heard. A larger jump is believed once the
+    same epoch has been heard for a lease: a coordinator repeats its own several times per lease.
 
     Args:
         lease: Time for which a leap must be heard [s].
@@ -41,7 +41,7 @@ class Epochs:
         self._leaps: dict[int, tuple[float, float]] = {}
 
     def believe(self, epoch: int, now: float) -> bool:
-        """Return whether an epoch is believed, and raise the highest by it."""
+        """Return whether an epoch is believed; if so, raise the highest to it."""
         if epoch <= self.highest:
             return True
         near = epoch <= self.highest + _RISE or (self.highest == 0 and epoch < _LARGEST_LEAP)
@@ -53,7 +53,7 @@ class Epochs:
         return False
 
     def _lasts(self, epoch: int, now: float) -> bool:
-        """Return whether a leap has been heard for a lease without a pause of one."""
+        """Whether an epoch jump was reported continuously for one lease."""
         first, last = self._leaps.pop(epoch, (now, now))
         if now - last > self._lease:
             first = now
@@ -69,11 +69,11 @@ class Election:
     Args:
         now: Time at which it begins to listen [s].
         lease: Time for which it listens before it takes over [s].
-        seed: Seed of the lot by which the epochs of simultaneous take-overs differ.
+        seed: Seed of the random part by which the epochs of simultaneous take-overs differ.
 
     Attributes:
         epoch: Epoch in which this coordinator decides, 0 while it listens.
-        stands_by: Whether it listens because another coordinator decides.
+        stands_by: Whether another coordinator decides.
         seen: Epochs that it has heard of.
     """
 
@@ -85,19 +85,19 @@ class Election:
         self.listen(now)
 
     def listen(self, now: float) -> None:
-        """Decide nothing for a lease."""
+        """Listen for a lease before deciding again."""
         self.epoch, self.stands_by = 0, False
         self._takes_over_at = now + self._lease
 
     def on_epoch(self, epoch: int, now: float) -> bool:
-        """Note an epoch that somebody has seen; return whether it makes this one step down."""
+        """Record an epoch that somebody has seen; return whether this coordinator must step down."""
         if not self.seen.believe(epoch, now) or not 0 < self.epoch < epoch:
             return False
         self.listen(now)
         return True
 
     def on_coordinator_heartbeat(self, epoch: int, now: float) -> bool:
-        """Hear somebody decide; return whether this one steps down. Words below an epoch that is seen do not count."""
+        """Record another decider; return whether this one steps down. Epochs below the highest seen do not count."""
         down = self.on_epoch(epoch, now)
         if not self.epoch and epoch == self.seen.highest:
             self.listen(now)
@@ -105,7 +105,7 @@ class Election:
         return down
 
     def tick(self, now: float, ready: bool = True) -> bool:
-        """Let time pass; return whether it is time to say that this one decides. Who is not ready listens on."""
+        """Advance time; return whether a heartbeat is due. A coordinator that is not `ready` goes on listening."""
         if not self.epoch and ready and now >= self._takes_over_at:
             self.epoch = self.seen.highest = self._next_epoch()
             self.stands_by = False
@@ -116,8 +116,8 @@ class Election:
         return True
 
     def _next_epoch(self) -> int:
-        """Return an epoch above the highest: its upper bits count, the lower 32 are a lot.
+        """Return an epoch above the highest: the upper bits count, the lower 32 are random.
 
-        Two that take over at once have seen the same; with plain counting both would decide in one epoch.
+        Two simultaneous take-overs have seen the same epochs; with plain counting both would decide in one epoch.
         """
         return ((self.seen.highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(self._random.integers(1 << _LOT_BITS))

@@ -10,7 +10,7 @@ import numpy as np
 from option_coordinator.options.options import Agent, PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.protocol.clock_reading import ClockReading
-from option_coordinator.protocol.ledger import Entry
+from option_coordinator.protocol.ledger import RobotState
 from option_coordinator.protocol.protocol_types import Grant, GrantStatus, JointStep, Request
 from option_coordinator.protocol.team import RobotSpec
 
@@ -21,7 +21,7 @@ class Refusal(NamedTuple):
     """Reason of a refusal.
 
     Attributes:
-        kind: Two or three words, the key of a counter.
+        kind: Two or three words, used as the key of a counter.
         reason: Sentence for the robot's log.
     """
 
@@ -36,14 +36,14 @@ NUMBER_LEAPS = Refusal("request number leaps", "request_id grows by one per requ
 
 
 def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: float) -> Refusal | None:
-    """Return why a request cannot be put to the policy, None if it can.
+    """Return why a request must not reach the policy, or None.
 
     Args:
         request: Request of the agent.
         agent: Options and observation size of the agent.
         epoch: Epoch of the coordinator, 0 while it listens.
         age: Age of the observation [s].
-        oldest: Largest age of an observation [s].
+        oldest: Maximum age of an observation [s].
     """
     observation, legal = np.asarray(request.observation), np.asarray(request.legal)
     if 0 < request.coordinator_epoch < epoch:
@@ -60,15 +60,15 @@ def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: f
     return None
 
 
-def standing_grant(entry: Entry, robot: RobotSpec, epoch: int, team: str, now: ClockReading) -> Grant:
-    """Return the answer that holds for a robot's latest request: its grant, or the cancellation of that.
+def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: str, now: ClockReading) -> Grant:
+    """Return the answer to a robot's latest request: its grant, or the cancellation.
 
     Args:
         entry: Ledger entry of the robot.
         robot: Options of the robot.
         epoch: Epoch of the coordinator.
         team: Name of the team.
-        now: Time of a cancellation; a grant keeps the stamp and the epoch of its decision.
+        now: Time of a cancellation; a grant keeps the stamp and epoch of its decision.
     """
     cancelled = entry.cancelled
     return Grant(
@@ -88,7 +88,7 @@ def standing_grant(entry: Entry, robot: RobotSpec, epoch: int, team: str, now: C
 
 
 def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now: ClockReading) -> Grant:
-    """Return the refusal of a request, in a coordinator's epoch."""
+    """Return the refusal of a request."""
     return Grant(
         stamp=now.stamp,
         agent=request.agent,
@@ -102,8 +102,8 @@ def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now
     )
 
 
-class Journal:
-    """Numbers the decisions, and adds up the reward between them.
+class EpisodeRecorder:
+    """Numbers the decisions of an episode and sums the reward between them.
 
     Args:
         now: Time at which it begins [s].
@@ -120,11 +120,11 @@ class Journal:
         self.open = False
 
     def credit(self, reward: float, began: float, longest: float) -> bool:
-        """Count what an option brought that began at some time [s], as seen from the last decision.
+        """Add the reward of an option that began at some time [s], discounted to the last decision.
 
-        So discounted, the joint rewards of an episode add up to what its options' rewards do. An option counts as one
-        that began `longest` [s] before that decision at most, whatever is said of it. Return False where the result is
-        too large for a number, and nothing is counted.
+        Thus the joint rewards of an episode add up to the rewards of its options. A start more than `longest` [s]
+        before that decision is moved there, whatever the robot says. Return False, and add nothing, if the sum
+        overflows.
         """
         began = max(began, self._decided_at - longest)
         try:
@@ -147,7 +147,7 @@ class Journal:
         terminated: bool = False,
         truncated: bool = False,
     ) -> JointStep:
-        """Return a decision: what was asked, what all run from now on, by which policy; or an episode's last step."""
+        """Return a decision (the question, the options from now on, the policy) or an episode's last step."""
         self.open = not (terminated or truncated)
         out = JointStep(
             stamp=now.stamp,

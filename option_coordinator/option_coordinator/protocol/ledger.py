@@ -1,7 +1,7 @@
-"""The state of each robot, as far as a coordinator knows. Times are in seconds of one clock.
+"""The state of each robot, as far as a coordinator knows. All times are from the same clock [s].
 
-A robot has a phase, the state of its latest request, and a time at which it was heard last. A robot that is silent for
-a lease is suspect, for longer lost; it keeps its phase, so that it goes on where it was if it returns.
+A robot has a phase, the state of its latest request, and the time at which it was last heard. After a lease of silence
+it is suspect, later lost; it keeps its phase, so that it goes on where it was if it returns.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from option_coordinator.options.options import NONE
 from option_coordinator.protocol.protocol_types import Request, Status
 
 MOST_UNHEARD = 1000
-"""Requests that a robot may have sent without one of them, or a heartbeat, being heard."""
+"""Maximum number of consecutive requests that may have been lost."""
 
 
 class State(StrEnum):
     """State of a robot, as far as the coordinator knows."""
 
-    UNKNOWN = "unknown"  # never heard
-    IDLE = "idle"  # has no request open and runs nothing that is known of
+    UNKNOWN = "unknown"  # never heard from
+    IDLE = "idle"  # no open request, and no known option
     WAITING = "waiting"  # has asked
     GRANTED = "granted"  # has a grant that it has not acknowledged
     RUNNING = "running"  # carries it out
     SUSPECT = "suspect"  # silent for a lease
-    LOST = "lost"  # silent for longer: nobody counts on it
+    LOST = "lost"  # silent for longer
 
 
 @dataclass
-class Entry:
+class RobotState:
     """State of one robot.
 
     Attributes:
@@ -76,7 +76,7 @@ class Entry:
 
     @property
     def state(self) -> State:
-        """Its silence if it is silent, else its phase."""
+        """Its silence, if any, else its phase."""
         return self.silence or self.phase
 
     @property
@@ -86,37 +86,37 @@ class Entry:
 
     @property
     def runs(self) -> bool:
-        """Whether its option is a condition of what the others choose."""
+        """Whether the others' choices must take its option into account."""
         return self.holds and self.silence is not State.LOST
 
     def answered(self, request_id: int) -> bool:
-        """Whether a request has been granted, whatever became of that."""
+        """Whether a request was granted, whatever happened to the grant."""
         return request_id == self.request_id and self.option != NONE
 
     def is_past(self, incarnation: int) -> bool:
-        """Whether it is a life that is over, whose messages come too late: a lower one, unless the robot is lost.
+        """Whether an incarnation is over, so that its messages are late: a lower one, unless the robot is lost.
 
-        A robot whose clock was set back would else never be heard again.
+        Without the exception a robot whose clock was set back would never be heard again.
         """
         return incarnation < self.incarnation and self.silence is not State.LOST
 
     def is_early(self, incarnation: int) -> bool:
-        """Whether it is a new life while the old one is heard: one wrong message must not end that.
+        """Whether it is a new incarnation while the old one is alive, which one corrupt message must not end.
 
-        A robot that has started again is heard once its old life has been silent for a lease.
+        A restarted robot is accepted once its old incarnation has been silent for a lease.
         """
         return self.phase is not State.UNKNOWN and incarnation > self.incarnation and self.silence is None
 
     def leaps(self, request_id: int) -> bool:
-        """Whether a request's number is further ahead than a robot can have counted unheard."""
+        """Whether a request's number is further ahead than lost requests can explain."""
         known = max(self.request_id, self.told_id)
         return known > 0 and request_id > known + MOST_UNHEARD
 
     def believe_lower(self, request_id: int, now: float, patience: float) -> bool:
-        """Return whether a heartbeat's lower number is the true one, and go by it then.
+        """Return whether to believe a heartbeat's lower request number, and if so adopt it.
 
-        A heartbeat may be overtaken by a request. But who names a lower one for longer than `patience` [s] after a
-        request was heard has never sent that: it was somebody else's, and would lock the robot out for its life.
+        A request may overtake a heartbeat. But a robot that still reports a lower number `patience` [s] after a request
+        never sent it: somebody else did, and it would lock the robot out for good.
         """
         if now - self.asked_at <= patience:
             return False
@@ -126,7 +126,7 @@ class Entry:
         return True
 
     def heard(self, incarnation: int, now: float) -> None:
-        """Note a sign of life; that of a new incarnation voids what the old one had.
+        """Record a sign of life; a new incarnation voids the state of the old one.
 
         Raises:
             OptionError: the incarnation is over.
@@ -143,9 +143,9 @@ class Entry:
         self.silence = None
 
     def insists(self, higher: bool, incarnation: int, now: float, patience: float) -> bool:
-        """Return whether it has said for `patience` [s] without a break that it has seen a higher epoch.
+        """Return whether it has claimed for `patience` [s], without a break, to have seen a higher epoch.
 
-        A wrong word in its name is contradicted by its next heartbeat.
+        Its next heartbeat contradicts a forged claim.
         """
         if not higher:
             self.claims_since = None
@@ -154,7 +154,7 @@ class Entry:
         return higher and self.claims_since is not None and now - self.claims_since >= patience
 
     def ask(self, request_id: int, now: float) -> None:
-        """Let it wait for an answer: whatever it ran has ended.
+        """Let it wait for an answer: its last option has ended.
 
         Raises:
             OptionError: it was never heard, or the request is older than what it has.
@@ -169,11 +169,11 @@ class Entry:
         self.phase = State.WAITING
 
     def must_be_told(self, now: float) -> bool:
-        """Whether its option, not acknowledged yet, or the cancellation of that must be sent (again) at a time [s]."""
+        """Whether its unacknowledged grant or its cancellation must be sent (again) at a time [s]."""
         return (self.cancelled or self.phase is State.GRANTED) and now >= self.repeat_at
 
     def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
-        """Give it an option that begins now, with the stamp of that [s].
+        """Grant an option that begins now, with its stamp [s].
 
         Raises:
             OptionError: it is not waiting for one.
@@ -185,7 +185,7 @@ class Entry:
         self.phase = State.GRANTED
 
     def acknowledge(self) -> None:
-        """Note that it carries its grant out.
+        """Record that it runs its granted option.
 
         Raises:
             OptionError: it has none.
@@ -195,7 +195,7 @@ class Entry:
         self.phase = State.RUNNING
 
     def adopt(self, told: Status, since: float, stamp: float, now: float) -> None:
-        """Adopt an option that a robot runs by a grant of another coordinator, or of an earlier life of this one.
+        """Adopt an option granted by another coordinator or by an earlier incarnation of this one.
 
         Args:
             told: Heartbeat of the robot.
@@ -216,7 +216,7 @@ class Entry:
         self.phase = State.RUNNING
 
     def cancel(self) -> None:
-        """Call its option off. Until it asks again it holds it: it may carry it out still.
+        """Cancel its option. It holds the option until it asks again, because it may still run it.
 
         Raises:
             OptionError: it has none.
@@ -226,16 +226,16 @@ class Entry:
         self.cancelled = True
 
     def end(self) -> None:
-        """Note that it runs nothing and wants nothing at the moment; the answer to its request stays known.
+        """Record that it neither runs nor wants an option; the answer to its request stays known.
 
         Raises:
             OptionError: it was never heard.
         """
         self._must_be_heard()
-        self.phase = State.IDLE  # a cancelled grant stays so: who repeats that request hears it again
+        self.phase = State.IDLE  # a cancelled grant stays cancelled: a repeated request gets that answer again
 
     def fall_silent(self, now: float, lease: float, lost_after: float) -> bool:
-        """Return whether it is lost from now on; what it waited for is forgotten then, as it asks again if it lives."""
+        """Update its silence; return whether it is newly lost. Its request is then dropped: if alive, it asks again."""
         silent = now - self.last_heard
         if self.phase is State.UNKNOWN or self.silence is State.LOST or silent < lease:
             return False

@@ -1,7 +1,7 @@
-"""The client of a coordinator on a robot: it asks for options, runs them and falls back by itself. No ROS, no clock.
+"""A robot's client of the coordinator: it asks for options, runs them, and falls back on its own. No ROS, no clock.
 
-Whatever the network does, a robot carries out one grant for each request, obeys the highest epoch that it has seen, and
-runs its safe option if no grant comes or an option exceeds its deadline.
+Whatever the network does, a robot runs one grant per request, obeys the highest epoch it has seen, and runs its safe
+option if no grant arrives or an option exceeds its deadline.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class OptionResult(NamedTuple):
     """Reward and duration of an option that has ended.
 
     Attributes:
-        reward: Discounted reward sum_i gamma^i r_i, the part of the team's reward that this robot adds.
+        reward: Discounted reward sum_i gamma^i r_i, this robot's part of the team's reward.
         steps: Number of low-level steps that it took.
     """
 
@@ -52,7 +52,7 @@ class OptionResult(NamedTuple):
 
 
 class OptionExecutor(Protocol):
-    """Carries options out; calls `OptionClient.ended` when one has ended by itself."""
+    """Runs options; calls `OptionClient.ended` when one has ended by itself."""
 
     def observe(self) -> AgentObservation:
         """Return the current observation."""
@@ -61,7 +61,7 @@ class OptionExecutor(Protocol):
         """Begin an option."""
 
     def leave(self) -> OptionResult:
-        """End the option that runs at once, and return its result."""
+        """Stop the running option at once and return its result."""
 
 
 @dataclass(frozen=True)
@@ -83,16 +83,16 @@ _WANTING = (AgentState.WAITING, AgentState.FALLBACK)
 
 
 class OptionClient:
-    """Speaks to the coordinator for one robot, and starts and stops its options.
+    """Talks to the coordinator for one robot, and starts and stops its options.
 
     Args:
         name: Name of the robot in its team.
         options: Number of its options.
         executor: Executor of the options.
-        incarnation: Incarnation of its process: larger with each start.
+        incarnation: Incarnation of its process, which grows with each start.
         safe_option: Index of the option that runs while no grant comes.
         timeouts: Periods and waiting times; the defaults unless given.
-        team: Name of its team, empty for unnamed: it then follows the team of the last grant that it took.
+        team: Name of its team; if empty, it follows the team of the last grant it took.
 
     Attributes:
         state: State that its heartbeats report.
@@ -133,7 +133,7 @@ class OptionClient:
         return self._epochs.highest
 
     def ask(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
-        """Ask for an option, or say that the task is over for this robot."""
+        """Ask for an option, or report that the task is over for this robot."""
         self._result = result = result or OptionResult()
         self.state, self.finished = AgentState.WAITING, False
         self.request_id += 1
@@ -154,18 +154,18 @@ class OptionClient:
         )
 
     def ended(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
-        """Note that the option that runs has ended by itself; a safe option for want of a grant just ends."""
+        """Report that the running option has ended by itself; a fall-back option just ends."""
         if self.state is AgentState.RUNNING:
             self.ask(now, result, terminated)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Note that a coordinator of its team decides: grants of lower epochs do not count from now on."""
+        """Record that a coordinator of its team decides; from now on grants of lower epochs do not count."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
         if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
     def on_grant(self, grant: Grant, now: ClockReading) -> None:
-        """Take an answer; one to an older request or incarnation, of a lower epoch or another team, is ignored."""
+        """Handle an answer; ignore one to an older request or incarnation, or of a lower epoch or another team."""
         if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
             return
         if grant.coordinator_epoch < self.epoch:
@@ -191,7 +191,7 @@ class OptionClient:
             self._status_at = now.steady  # the coordinator has not heard that it is carried out
 
     def tick(self, now: ClockReading) -> None:
-        """Let time pass: begin the safe option where no grant comes, or where an option takes too long."""
+        """Advance time: begin the safe option if no grant arrives or an option takes too long."""
         if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
             self.counts["deadlines"] += 1
             self.ask(now, self._stop())
@@ -231,9 +231,9 @@ class OptionClient:
         self._executor.begin(grant.option)
 
     def _refused(self, now: ClockReading, epoch: int) -> None:
-        """Repeat the request at once where only the epoch was unknown; else make another one, of what is seen by then.
+        """Repeat the request at once if only the epoch was unknown; otherwise make a new one from a new observation.
 
-        A request never changes: which options are legal would else depend on which copy of it was answered.
+        A request never changes: else the legal options would depend on which copy was answered.
         """
         self.counts["refused"] += 1
         if self._over:
@@ -250,7 +250,7 @@ class OptionClient:
         self._executor.begin(self._safe)
 
     def _stop(self) -> OptionResult:
-        """Stop what runs; what a safe option brought that nobody granted does not count."""
+        """Stop the running option; the reward of an ungranted safe option does not count."""
         if self.state not in (AgentState.RUNNING, AgentState.FALLBACK):
             return OptionResult()
         result = self._executor.leave()

@@ -49,35 +49,35 @@ class Between(NamedTuple):
     """A number in a closed interval; NaN lies in none.
 
     Attributes:
-        least: Lower end of the interval.
-        largest: Upper end of the interval.
-        or_not_finite: Whether a number that is not finite passes: the coordinator refuses that with a reason.
+        minimum: Lower end of the interval.
+        maximum: Upper end of the interval.
+        or_not_finite: Whether to pass numbers that are not finite, which the coordinator refuses with a reason.
     """
 
-    least: float
-    largest: float
+    minimum: float
+    maximum: float
     or_not_finite: bool = False
 
     def __call__(self, value: float, field: str, /) -> None:
-        """Raise MessageError, which names the field, if the number is refused."""
-        if not self.least <= value <= self.largest and not (self.or_not_finite and not math.isfinite(value)):
+        """Raise a MessageError that names the field, if the number is out of range."""
+        if not self.minimum <= value <= self.maximum and not (self.or_not_finite and not math.isfinite(value)):
             raise MessageError(f"{field} out of range")
 
 
 class AtMost(NamedTuple):
-    """A text or an array up to a length; errors call it by `label`, or by its field's name."""
+    """A text or array with a maximum length; errors use `label`, or the field's name."""
 
     length: int
     label: str = ""
 
     def __call__(self, value: Sized, field: str, /) -> None:
-        """Raise MessageError if it is longer."""
+        """Raise MessageError if it is too long."""
         if len(value) > self.length:
             raise MessageError(f"{self.label or field} too long")
 
 
 def constants(kind: type[IntEnum]) -> Between:
-    """Return the check that a number is one of an enumeration's constants, which have no gaps."""
+    """Return the check that a number is a constant of an enumeration without gaps."""
     return Between(min(kind), max(kind))
 
 
@@ -191,7 +191,7 @@ class JointStep:
 
 
 def same_team(one: str, other: str) -> bool:
-    """Return whether two messages may belong to one team; a message of an old peer, without a name, fits any."""
+    """Return whether two messages may belong to one team; messages of old peers, without a team, match any."""
     return one == other or not one or not other
 
 

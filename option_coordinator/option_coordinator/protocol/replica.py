@@ -1,8 +1,8 @@
-"""A coordinator as one of several replicas: it hears robots and other coordinators, and knows whether it is the leader.
+"""A coordinator as one of several replicas: it hears robots and other coordinators, and knows whether it leads.
 
-A replica that has not run for half a lease, because it was frozen or the machine was busy, is silent for a while:
-another one may have taken over, and its messages are heard first. After most of a lease its epoch is over for good: it
-listens for a lease as any other does, and decides again in a new epoch only. No ROS, no clock.
+A replica that has not run for half a lease (frozen, or on a busy machine) first keeps silent to read waiting messages:
+another one may have taken over. After most of a lease its epoch is over: it listens for a lease like any other replica,
+and decides again only in a new epoch. No ROS, no clock.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from option_coordinator.errors import OptionError
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Election
 from option_coordinator.protocol.grants import UNKNOWN_ROBOT, Refusal
-from option_coordinator.protocol.ledger import Entry, State
+from option_coordinator.protocol.ledger import RobotState, State
 from option_coordinator.protocol.protocol_types import Answers, CoordinatorHeartbeat, Request, Status, same_team
 from option_coordinator.protocol.team import CoordinatorTimeouts
 
 LATE = 0.5
 """Time without a tick after which a coordinator listens before it goes on [leases]."""
 _QUIET = 0.4
-"""How long it then listens [leases]."""
+"""Time for which it then listens [leases]."""
 _REPLACED = 0.8
-"""Time without a tick after which another one may have taken over: the last heartbeat may have been older [leases]."""
+"""Time without a tick after which another replica may have taken over [leases]; the last heartbeat is older."""
 _FROZEN = 8.0
-"""Time without a tick after which what is known of the robots is too old to start from [leases]."""
+"""Time without a tick after which the knowledge about the robots is too old to start from [leases]."""
 
 
 class Replica:
-    """Hears robots and other coordinators of its team, and knows whether it decides.
+    """Listens to the robots and other coordinators of its team, and knows whether it decides.
 
     Args:
         robots: Names of the team's robots, in the policy's order.
@@ -61,26 +61,26 @@ class Replica:
 
     @property
     def stands_by(self) -> bool:
-        """Whether it listens because another coordinator decides."""
+        """Whether another coordinator decides."""
         return self._election.stands_by
 
     @property
     def epochs_not_believed(self) -> int:
-        """Number of times that an epoch was out of reach."""
+        """Number of epochs that were not believed."""
         return self._election.seen.refused
 
     @property
     def unheard(self) -> list[str]:
-        """Robots that were not heard since this coordinator began to listen."""
+        """Robots not heard since this coordinator began to listen."""
         return [entry.agent for entry in self.ledger.values() if entry.phase is State.UNKNOWN]
 
     def listen(self, now: ClockReading) -> None:
-        """Start over: decide nothing for a lease at least, hear what the robots run, then take over."""
+        """Start over: listen to the robots for at least a lease, then take over."""
         self._election.listen(now.steady)
         self._forget(now)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> Answers:
-        """Take the heartbeat of another coordinator, or this one's own; there is no answer to it."""
+        """Handle the heartbeat of a coordinator, perhaps its own; the answer is empty."""
         if not same_team(heartbeat.team, self.team):
             self.counts["words of other teams"] += 1
             return Answers()
@@ -92,14 +92,14 @@ class Replica:
     def _forget(self, now: ClockReading) -> None:
         """Forget who runs what, and begin to listen."""
         self._began = self._ticked_at = now.steady
-        self.ledger = {name: Entry(name) for name in self._names}
+        self.ledger = {name: RobotState(name) for name in self._names}
 
     def _knows_enough(self, now: ClockReading) -> bool:
-        """Whether every robot was heard, or could have been: what is not heard yet may run something."""
+        """Whether every robot was heard, or had time to be: one that was not may run an option."""
         return not self.unheard or now.steady >= self._began + self._timeouts.lost_after
 
     def _wake(self, now: ClockReading) -> None:
-        """Notice that this coordinator has not run for a while: it is silent until it has heard what happened."""
+        """Detect that this coordinator has not run for a while; keep it silent until it has heard what happened."""
         gap = (now.steady - self._ticked_at) / self._timeouts.lease
         if gap <= LATE:
             return
@@ -113,15 +113,15 @@ class Replica:
                 self._step_down(now)
 
     def _decides(self, now: ClockReading) -> bool:
-        """Whether this coordinator decides, and is sure of it."""
+        """Whether this coordinator decides and is sure that no other one does."""
         self._wake(now)
         return bool(self.epoch) and now.steady >= self._quiet_until
 
-    def _hear(self, told: Request | Status, now: ClockReading) -> Entry | Refusal | None:
-        """Note a sign of life and what it says of epochs.
+    def _hear(self, told: Request | Status, now: ClockReading) -> RobotState | Refusal | None:
+        """Record a sign of life and the epoch that it claims.
 
         Returns:
-            The robot's state; where the message does not count, the reason to tell a robot of this team, or None.
+            The robot's state; if the message does not count, a refusal for a robot of this team, or None.
         """
         if not same_team(told.team, self.team):
             self.counts["messages of other teams"] += 1
@@ -145,10 +145,10 @@ class Replica:
             self.counts["returned robots"] += 1
         return entry
 
-    def _on_claim(self, entry: Entry, told: Request | Status, now: ClockReading) -> None:
-        """Note an epoch that a robot has seen.
+    def _on_claim(self, entry: RobotState, told: Request | Status, now: ClockReading) -> None:
+        """Record an epoch that a robot claims to have seen.
 
-        Who decides goes by it once the robot has said so for a lease; who may have been replaced, at once.
+        A decider believes it once the robot has claimed it for a lease; one that may have been replaced, at once.
         """
         epoch, sure = told.coordinator_epoch, self.epoch and now.steady >= self._quiet_until
         if sure and not entry.insists(epoch > self.epoch, told.incarnation, now.steady, self._timeouts.lease):
@@ -157,12 +157,12 @@ class Replica:
             self._step_down(now)
 
     def _step_down(self, now: ClockReading) -> None:
-        """Leave it to another one: what this one has granted may never have been obeyed."""
+        """Leave the team to another coordinator and forget all grants: they may never have been obeyed."""
         self.counts["stepped down"] += 1
         self._forget(now)
 
     def _quiet(self, now: ClockReading) -> bool:
-        """Note a tick; return whether nothing may be said: nobody is lost whose heartbeats wait to be read."""
+        """Record a tick; return whether to keep silent, because heartbeats may still wait to be read."""
         self._wake(now)
         self._ticked_at = now.steady
         return now.steady < self._quiet_until

@@ -10,18 +10,18 @@ import numpy as np
 
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import NONE, Agent, PolicyQuery, option_mask
-from option_coordinator.protocol.ledger import Entry
+from option_coordinator.protocol.ledger import RobotState
 from option_coordinator.protocol.protocol_types import LONGEST, Request
 
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """A robot with the durations and the safe option that a coordinator must know.
+    """What a coordinator must know about a robot.
 
     Attributes:
         agent: Name, options and observation size.
         durations: Longest time that each of its options may take [s].
-        safe_option: Index of the option that it is granted if the policy fails.
+        safe_option: Index of the option to grant if the policy fails.
     """
 
     agent: Agent
@@ -61,7 +61,7 @@ class CoordinatorTimeouts:
 
 
 class TeamQuery:
-    """Keeps the latest observation of each robot, and builds the query of a decision from it.
+    """Keeps each robot's latest observation and builds a decision's query from them.
 
     Args:
         robots: Robots, in the policy's order.
@@ -81,11 +81,11 @@ class TeamQuery:
         self._observed = np.zeros(ends[-1], np.float32)
 
     def observe(self, request: Request) -> None:
-        """Take the observation of a request that was checked."""
+        """Store the observation of a checked request."""
         self._observed[self._places[request.agent]] = request.observation
 
-    def of(self, requests: Mapping[str, Request], ledger: Mapping[str, Entry]) -> PolicyQuery:
-        """Return the query in which the robots of `requests` choose, and the others run what the ledger says."""
+    def of(self, requests: Mapping[str, Request], ledger: Mapping[str, RobotState]) -> PolicyQuery:
+        """Return the query in which the robots in `requests` choose while the others run what the ledger says."""
         legal, choosing = self._options.copy(), np.zeros(len(self.index), bool)
         for name, request in requests.items():
             index = self.index[name]

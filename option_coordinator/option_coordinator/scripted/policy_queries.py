@@ -1,4 +1,4 @@
-"""Scripted policies for coordination without a file: any legal option, or one that no other robot runs."""
+"""Scripted policies for teams without a policy file: any legal option, or one that no other robot runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Candidates = Callable[[int, JointOptions], JointOptions]
 
 
 def uniform_policy(generator: np.random.Generator) -> PolicyFn:
-    """Return a policy that draws each robot's option from all that are legal."""
+    """Return a policy that draws each robot's option from the legal ones."""
 
     def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         return _each(choice, generator, lambda agent, _: np.flatnonzero(choice.legal[agent]))
@@ -53,7 +53,7 @@ def spread_policy(robots: Sequence[RobotSpec], generator: np.random.Generator, s
 
 
 def _each(choice: PolicyQuery, generator: np.random.Generator, candidates: _Candidates) -> tuple[JointOptions, float]:
-    """Draw for one robot after the other, each knowing the ones before."""
+    """Draw for one robot after the other; each knows the choices before."""
     options, log_probability = choice.running.copy(), 0.0
     for agent in np.flatnonzero(choice.choosing):
         some = candidates(int(agent), options)

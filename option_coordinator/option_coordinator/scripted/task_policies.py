@@ -1,4 +1,4 @@
-"""Hand-written policies: what learning must beat, and optima to test by."""
+"""Hand-written policies: baselines for learning, and optima for tests."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class DecisionPolicy(Protocol):
 
 
 class RandomPolicy:
-    """Any legal option, all as likely."""
+    """Any legal option, all equally likely."""
 
     def __init__(self, seed: int = 0) -> None:
         self._random = np.random.default_rng(seed)
@@ -46,7 +46,7 @@ class ToolDeliveryScript:
     """The optimum of Tool Delivery: 40 steps, a return of 260."""
 
     PLAN = (SEARCH, PASS_TO_1, SEARCH + 1, PASS_TO_0, SEARCH + 2, WAIT, PASS_TO_1)
-    """Of the Fetchbot: turtlebot 1, whose spot is nearer, brings the first tool and is back in time for the last."""
+    """Options of the Fetchbot: turtlebot 1, which is nearer, brings the first tool and is back in time for the last."""
 
     def __init__(self, task: ToolDelivery) -> None:
         self._fetchbot = task.fetchbot.name
@@ -69,7 +69,7 @@ class ToolDeliveryScript:
 
 
 class JarCycle:
-    """The rote cycle: the vehicle fills jar after jar, the drone looks at jar after jar, whatever they hold."""
+    """A fixed cycle: the vehicle fills jar after jar and the drone inspects jar after jar, whatever they hold."""
 
     def __init__(self) -> None:
         self._next: dict[str, int] = {}
@@ -88,7 +88,7 @@ class JarCycle:
 
 
 class GreedyFiller:
-    """Knows every level: the vehicle fills the jar that gains most for the way to it."""
+    """Knows every level: the vehicle fills the jar with the largest gain per distance."""
 
     def __init__(self, simulation: WaterFillingSimulation) -> None:
         self._simulation = simulation
@@ -108,7 +108,7 @@ class GreedyFiller:
 
 
 class SpreadTeam:
-    """A delivery team's scripted policy, which its coordinator has too: a station that nobody else is on the way to."""
+    """A delivery team's scripted policy, as its coordinator has it: go to a station that no other robot heads for."""
 
     def __init__(self, team: TeamFile, seed: int = 0) -> None:
         self._chooses = spread_policy(team.coordinated, np.random.default_rng(seed), team.shared)
@@ -119,7 +119,7 @@ class SpreadTeam:
 
 
 def jar_trips(agent: Agent) -> list[int]:
-    """Return an agent's options that lead to a jar, filling ones where it has some, in the order of the jars."""
+    """Return an agent's options that lead to a jar, in the order of the jars; those that fill it, if there are any."""
     fill = [index for index, name in enumerate(agent.options) if name.startswith("NavToFill")]
     return fill or [index for index, name in enumerate(agent.options) if name.startswith("NavTo:")]
 
@@ -133,7 +133,7 @@ def scripted_policy(environment: OptionEnvironment) -> DecisionPolicy:
 
 
 def references(environment: OptionEnvironment) -> dict[str, DecisionPolicy]:
-    """Return what learning is judged beside, by name: the hand-written policy, and one that knows what nobody sees."""
+    """Return reference policies by name: the hand-written one, and one that knows the hidden state."""
     simulation = environment.simulation
     omniscient = {"omniscient": GreedyFiller(simulation)} if isinstance(simulation, WaterFillingSimulation) else {}
     return {"scripted": scripted_policy(environment), **omniscient}

@@ -2,8 +2,8 @@
 
 environment = ParallelOptions(make_environment("tool_delivery"))
 
-PettingZoo wants an action of every agent at every step. A step here is an option step: an agent that still runs an
-option has an action mask that allows only that one, and goes on with it.
+PettingZoo wants an action from every agent at every step. A step here is an option step: the action mask of an agent
+that still runs an option allows only that option.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AgentDict = dict[str, NDArray[Any]]
 class ParallelOptions(ParallelEnv[str, AgentDict, int]):
     """Every agent observes a dictionary of `observation` and `action_mask`; all get the joint reward r_kappa.
 
-    What each agent is told besides: `duration` (tau, low-level steps), `discount` (gamma^tau) and `ready`.
+    Infos of each agent: `duration` (tau, low-level steps), `discount` (gamma^tau) and `ready`.
 
     Args:
         environment: Event-driven environment to adapt.
@@ -72,7 +72,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
     def step(
         self, actions: dict[str, int]
     ) -> tuple[dict[str, AgentDict], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Let the ready begin their options; the others must go on with theirs.
+        """Start the options of the agents that are ready; the others must continue theirs.
 
         Raises:
             OptionError: as `OptionEnvironment.step`, or an action that the mask forbids.
@@ -96,7 +96,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
         )
 
     def render(self) -> None:
-        """Show nothing: pictures are made of the environment's trace, see `option_coordinator.plots`."""
+        """Do nothing: `option_coordinator.plots` draws pictures from the environment's trace."""
 
     def _seen(self, decision: Decision) -> dict[str, AgentDict]:
         out: dict[str, AgentDict] = {}

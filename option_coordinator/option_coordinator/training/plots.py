@@ -14,7 +14,7 @@ from pydantic import Field
 from option_coordinator.training.experiments.methods import METHODS
 
 _FIRST = ("async", "async_autoregressive", "sync_wait", "mac_dqn", "end2end")
-"""What is drawn where there are more methods than a picture holds; the others are in the tables."""
+"""Methods to draw if there are more than a picture holds; the tables have all."""
 
 
 class Learning(Figures):
@@ -26,13 +26,13 @@ class Learning(Figures):
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw what episodes of learning gave over environment steps."""
-    # Who takes longer would squeeze the others.
+    """Draw the return of episodes over environment steps while learning."""
+    # Methods with larger budgets would squeeze the others' curves.
     there = [name for name in METHODS if name in figures["curves"] and not METHODS[name].budget]
     chosen = there if len(there) <= MOST_LINES else [name for name in _FIRST if name in there]
     lines = [line_of(name, METHODS[name].label, figures["curves"][name]) for name in chosen]
     scripted = figures["scripted"]
-    # Where nothing is above 0, orders of magnitude lie between first and last.
+    # Returns that are all negative span orders of magnitude.
     linear_below = 0.5 * abs(scripted) if scripted < 0.0 else None
     panel = Panel("", lines, {"scripted": scripted})
     title = f"{figures['task']}: {best_of(lines, figures['metric'])}"

@@ -40,7 +40,7 @@ class WheeledRobot:
     Attributes:
         urdf: Path of its file, or its name in `urdf/`; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
         pose: Pose x, y, theta of the root link at the start (3,) [m, m, rad].
-        torque: Largest torque of one wheel [N m].
+        torque: Maximum torque of one wheel [N m].
         friction: Friction coefficient between wheel and floor.
     """
 

@@ -151,7 +151,7 @@ class MujocoEngine:
         return np.hypot(*beside.T)
 
     def _between(self, geoms: Sequence[int], others: Sequence[int], limit: float) -> float:
-        """Return the least distance between geoms of two bodies [m], or the limit."""
+        """Return the minimum distance between geoms of two bodies [m], or the limit."""
         for geom in geoms:
             for other in others:
                 limit = min(limit, mujoco.mj_geomDistance(self._model, self._data, geom, other, limit, None))
@@ -279,7 +279,7 @@ class MujocoMover:
 
 
 def _bounds(shape: Shape) -> NDArray[np.float64]:
-    """Return the least and largest coordinates of a shape in its plane (4,) [m]."""
+    """Return the minimum and maximum coordinates of a shape in its plane (4,) [m]."""
     if isinstance(shape, Box):
         c, s = abs(math.cos(shape.angle)), abs(math.sin(shape.angle))
         half = 0.5 * np.array((c * shape.size[0] + s * shape.size[1], s * shape.size[0] + c * shape.size[1]))

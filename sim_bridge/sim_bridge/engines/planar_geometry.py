@@ -36,7 +36,7 @@ def _corner(shape: Any, index: int) -> tuple[float, float]:
 
 @cached_njit
 def _overlap(one: Any, other: Any) -> float:
-    """Largest gap of two rectangles along the axes of the first [m]; negative where their shadows overlap on both."""
+    """Maximum gap of two rectangles along the axes of the first [m]; negative where their shadows overlap on both."""
     dx, dy = other[X] - one[X], other[Y] - one[Y]
     c = abs(one[COS] * other[COS] + one[SIN] * other[SIN])
     s = abs(one[COS] * other[SIN] - one[SIN] * other[COS])
@@ -77,7 +77,7 @@ def place(shapes: Any, parts: Any, first: int, last: int, x: float, y: float, an
 
 @cached_njit
 def nearest(shapes: Any, first: int, last: int, outer: int, limit: float) -> float:
-    """Return the least signed distance of a robot to all other shapes [m], or the limit.
+    """Return the minimum signed distance of a robot to all other shapes [m], or the limit.
 
     Args:
         shapes: All shapes (n, 8); the robot's are first to last (without the last).
@@ -163,7 +163,7 @@ def wheel_speeds(speeds: Any, wanted: Any, own: float, shared: float, most: floa
         wanted: Speeds that the motors hold (2,) [rad/s].
         own: Speed that an impulse gives its own wheel [rad/s per N m s].
         shared: Speed that it gives the other wheel [rad/s per N m s].
-        most: Largest impulse [N m s].
+        most: Maximum impulse [N m s].
     """
     left, right = wanted[0] - speeds[0], wanted[1] - speeds[1]
     first = second = 0.0

@@ -53,7 +53,7 @@ class Outline(NamedTuple):
 
     Attributes:
         parts: Rectangles along the robot's axes, rounded off (parts, 7): centre (2) and half extents (2) [m], the
-            radius [m] (a disc is a point with a radius), and the least and largest coordinate across the plane [m].
+            radius [m] (a disc is a point with a radius), and the minimum and maximum coordinate across the plane [m].
         outer: Number of parts, the first ones, that all others lie within, seen across the plane.
     """
 

@@ -196,7 +196,7 @@ class PybulletEngine:
         return np.linalg.norm(np.maximum(np.maximum(boxes[:, 0] - largest, least - boxes[:, 1]), 0.0), axis=1)
 
     def _box(self, body: int) -> Array:
-        """Return the box along the axes that holds all links of a body: least and largest corner (2, 3) [m]."""
+        """Return the box along the axes that holds all links of a body: minimum and maximum corner (2, 3) [m]."""
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=self.client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=self.client) for link in links])
         return np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))

@@ -36,7 +36,7 @@ def roll(
         share: Part of the way to the wanted speed that the motors go in a step.
         own: Speed that an impulse gives its own wheel [rad/s per N m s].
         shared: Speed that it gives the other wheel [rad/s per N m s].
-        impulse: Largest impulse of a motor in a step [N m s].
+        impulse: Maximum impulse of a motor in a step [N m s].
         turns: Metres of the way, and radians of half a turn, by the sum and the difference of the wheels' speeds (2,).
     """
     for i in range(len(poses)):

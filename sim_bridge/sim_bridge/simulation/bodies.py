@@ -30,7 +30,7 @@ class Body(Protocol):
 
     Attributes:
         radius: Radius of a circle around its origin that holds all of it [m].
-        bounds: Least and largest commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
+        bounds: Minimum and maximum commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
         idle: Command of a robot that gets none (2,).
     """
 
@@ -71,9 +71,9 @@ class DriveParameters:
         urdf: Path of its URDF file.
         wheel_radius: Radius of the wheels [m].
         wheel_separation: Distance between the wheels [m].
-        torque: Largest torque of one wheel [N m].
+        torque: Maximum torque of one wheel [N m].
         lag: Time constant of the wheel speed [s].
-        bounds: Least and largest v [m/s] and omega [rad/s]; None for the task's command bounds.
+        bounds: Minimum and maximum v [m/s] and omega [rad/s]; None for the task's command bounds.
         lidar: Position of the lidar in base_footprint (3,) [m].
         lidar_yaw: Direction of its zero bearing [rad].
     """
@@ -116,7 +116,7 @@ class DifferentialDrive:
         Args:
             base: The robot in the engine.
             drive: Parameters of the drive.
-            bounds: Least and largest commands where the drive sets none (2, 2).
+            bounds: Minimum and maximum commands where the drive sets none (2, 2).
             radius: Radius of a circle that holds the robot [m].
             options: Settings of the episode.
         """

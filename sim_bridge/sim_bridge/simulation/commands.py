@@ -17,7 +17,7 @@ class CommandChannel:
         """Start without a command.
 
         Args:
-            bounds: Least and largest commands (2, 2).
+            bounds: Minimum and maximum commands (2, 2).
             idle: Command before the first one and after a time-out (2,).
             truncation: Whether commands are cut to whole hundredths towards zero, as the TurtleBot3 firmware does.
             delay: Physics steps from arrival to effect.

@@ -19,7 +19,7 @@ class Contact:
     """The contact that ended an episode.
 
     Attributes:
-        speed: Largest speed of any point of the robot just before [m/s]: about 0 where it stood.
+        speed: Maximum speed of any point of the robot just before [m/s]: about 0 where it stood.
         mover: Number of the mover that it met; None for a wall, an obstacle or another robot.
     """
 

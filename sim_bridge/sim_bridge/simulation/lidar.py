@@ -46,8 +46,8 @@ class LidarScan:
         ranges: Measured distances (beams,) [m].
         angle_min: Bearing of the first beam [rad].
         angle_increment: From beam to beam [rad].
-        range_min: Least distance that the driver claims to measure [m].
-        range_max: Largest distance that it claims [m].
+        range_min: Minimum distance that the driver claims to measure [m].
+        range_max: Maximum distance that it claims [m].
         yaw: Direction of its zero bearing in the robot's frame [rad].
     """
 

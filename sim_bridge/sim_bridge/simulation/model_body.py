@@ -31,7 +31,7 @@ class ModelBody:
     Args:
         disc: The body in the engine.
         system: Model with the task's parameters.
-        bounds: Least and largest commands (2, 2).
+        bounds: Minimum and maximum commands (2, 2).
         start: State at the start (n,).
         radius: Radius of the disc [m].
         rate: Physics steps per second [Hz].

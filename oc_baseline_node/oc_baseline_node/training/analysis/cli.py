@@ -68,7 +68,7 @@ class Mismatch(_Analysis):
     roll_outs: Positive = 50
     """Number of roll-outs of each row; the thesis has 10."""
     heavier: _PerCents = (10.0,)
-    """Percentages of mass and inertia by which the simulated quadrotor also exceeds its model."""
+    """Percentages by which the simulated quadrotor's mass and inertia also exceed the model's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +80,12 @@ class MpcDrives(_Analysis):
     episodes: Positive = 5
     """Number of episodes of MPC."""
     learnt: Path | None = None
-    """JSON file of `train --results` with a learned path to draw; none is drawn where it is left out."""
+    """JSON file of `train --results` with a learned path to draw (default: none)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Speed(_Analysis):
-    """Measure the processor time of MPC that begins with its plan, beside the interior point's."""
+    """Compare the CPU time of warm-started MPC with the interior point's."""
 
     tasks: tuple[str, ...] = ("car_navigation", "quad_navigation", "quad_trap", "curved_corridor")
     """Names or .yaml files of the tasks."""
@@ -100,9 +100,9 @@ class Gradient(_Analysis):
     task: str = "quad_trap"
     """Name or .yaml file of the task."""
     value: Path | None = None
-    """File of V_oc; the network that comes with the package where none is given."""
+    """File of V_oc (default: the network in the package)."""
     samples: Positive | None = None
-    """Number of samples of the true gradient; the thesis's 102400 where none is given."""
+    """Number of samples of the true gradient (default: the thesis's 102400)."""
 
 
 _Command: Any = (

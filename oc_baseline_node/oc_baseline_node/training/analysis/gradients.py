@@ -1,7 +1,7 @@
 """Accuracy of policy gradients estimated from few samples, with different baselines (thesis Table 3.7).
 
 The policy is an early one, which reaches the goal about every second time. The thesis takes one that meets goal and
-trap equally often; the trap of `quad_trap` is hardly ever met (its least thrust, 14 N, is more than the weight), so
+trap equally often; the trap of `quad_trap` is hardly ever met (its minimum thrust, 14 N, is more than the weight), so
 crashes take its part. The "true" gradient is Eq. 3.14 over very many samples without any b; estimates come from other
 samples, fewer, and are compared by cosine similarity.
 """
@@ -27,7 +27,7 @@ from oc_baseline_node.training.experiments.runs import OcRun
 _LIMIT = 150
 """Roll-outs after which the search ends."""
 _SHARE = (1.0 / 3.0, 2.0 / 3.0)
-"""Least and largest fraction of the episodes that end in the goal."""
+"""Minimum and maximum fraction of the episodes that end in the goal."""
 
 
 def find_early_policy(

@@ -1,7 +1,7 @@
-"""PPO with a baseline that depends on the action too: what the thesis compares with (Fig. 3.13).
+"""PPO with action-dependent baselines, with which the thesis compares (Fig. 3.13).
 
-Such a baseline c(s, a) does shift the gradient's mean, so that what it takes away is given back through the policy,
-with a = f_theta(s, xi) = mu_theta(s) + sigma_theta xi (Stein's identity; in Q-Prop c is linear in a):
+A baseline c(s, a) shifts the gradient's mean, so the difference is given back through the policy, with
+a = f_theta(s, xi) = mu_theta(s) + sigma_theta xi (Stein's identity; in Q-Prop c is linear in a):
 
     grad J = E[ grad log pi(a|s) (A(s, a) - c(s, a)) + grad_a c(s, a) grad_theta f_theta(s, xi) ]
 """
@@ -30,12 +30,12 @@ LEARNING_RATE = 1e-3
 
 
 class ControlVariatePpo(PPO):
-    """PPO with c(s, a); a subclass says what c is and how it is learnt.
+    """PPO with a baseline c(s, a); a subclass defines c and how it is learnt.
 
     Attributes:
-        critic: network of c.
+        critic: Network of c.
         critic_optimizer: Optimizer of the critic's weights.
-        through_noise: whether f_theta goes through sigma_theta xi too, or through mu_theta alone.
+        through_noise: Whether f_theta includes sigma_theta xi, or only mu_theta.
     """
 
     rollout_buffer: BaselineBuffer
@@ -61,7 +61,7 @@ class ControlVariatePpo(PPO):
         """Learn c from the roll-out after the policy has."""
 
     def train(self) -> None:
-        """Learn from the roll-out: PPO's clipped loss with A - c, and what gives c back."""
+        """Learn from the roll-out: PPO's clipped loss with A - c, plus the term that gives c back."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         self.fit_before()
@@ -82,7 +82,7 @@ class ControlVariatePpo(PPO):
                 surrogate = torch.min(free, clipped)
                 now: Any = self.policy.get_distribution(data.observations[part]).distribution
                 reached = now.mean + now.stddev * noise[part] if self.through_noise else now.mean
-                # What is given back ends where PPO's own gradient does: where the clipped surrogate is the smaller.
+                # Like PPO's own gradient, the term is cut where the clipped surrogate is smaller.
                 counted = (free <= clipped).float().detach()
                 given_back = counted * (slope[part] * reached).sum(dim=1) / scale
                 assert entropy is not None
@@ -110,7 +110,7 @@ def make_critic(inputs: int) -> nn.Sequential:
 def value_and_slope(
     critic: nn.Module, observations: torch.Tensor, actions: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a critic's values (N,) and their gradients by the actions (N, m), without gradients of their own."""
+    """Return a critic's detached values (N,) and their gradients by the actions (N, m)."""
     actions = actions.detach().clone().requires_grad_()
     values = critic(torch.cat((observations, actions), dim=1)).flatten()
     (slope,) = torch.autograd.grad(values.sum(), actions)
@@ -118,7 +118,7 @@ def value_and_slope(
 
 
 def standardised(signal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a signal (N,) with mean 0 and standard deviation 1, and what it was divided by."""
+    """Standardise a signal (N,) to mean 0 and standard deviation 1; return it and its scale."""
     scale = signal.std() + 1e-8
     return (signal - signal.mean()) / scale, scale
 

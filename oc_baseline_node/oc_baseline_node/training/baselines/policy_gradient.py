@@ -34,7 +34,7 @@ Values = NDArray[np.float32]
 
 
 class Baseline(Protocol):
-    """A function of the observation alone: whatever it is, the gradient of Eq. 3.14 keeps its mean."""
+    """Any function of the observation alone: it does not bias the gradient of Eq. 3.14."""
 
     def __call__(self, observations: Observations) -> Values:
         """Return b (N,), in units of the learner's reward, for observations (N, d)."""
@@ -45,27 +45,27 @@ class OcBaseline:
 
     Args:
         value: Optimal control value V_oc of the task, over the task's states.
-        task: whose observations are given, as `ctrl_rl_learning.sb3.environment` scales them.
-        noise: standard deviation of what is added to each component of x_k before V_oc is asked, in SI units
+        task: Task of the observations, scaled as in `ctrl_rl_learning.sb3.environment` scales them.
+        noise: Standard deviation of noise on each component of x_k before V_oc is evaluated, in SI units
             (thesis Fig. 3.16); drawn from torch's generator, which a run seeds.
 
     Raises:
-        OcError: the value has other states than the task.
+        OcError: The value has other states than the task.
     """
 
     def __init__(self, value: MlpValue, task: NavigationTask, noise: float = 0.0) -> None:
         if value.state_names != task.system.build().state_names:
             raise OcError(f"V_oc of task '{value.task}' has other states than task '{task.name}': fit it for this task")
-        middle, unit = observation_scales(task)
-        # A policy is asked for an action only where the episode goes on: the steps of V_oc to what a collision pays
-        # would be met where its set, of a disc, is larger than the body.
+        offset, scale = observation_scales(task)
+        # A policy acts only while the episode runs, but the collision set of V_oc, which is that of a disc, is larger
+        # than the body: its steps to the collision reward would be met too early.
         value = value.without_collisions()
         self._value, self._count, self._noise = value, len(value.state_names), noise
-        self._middle, self._unit = middle[: self._count], unit[: self._count]
+        self._offset, self._scale = offset[: self._count], scale[: self._count]
 
     def states(self, observations: Observations) -> NDArray[np.float64]:
         """Return the states (N, n) [SI units] that are part of observations (N, d)."""
-        return observations[:, : self._count].astype(np.float64) * self._unit + self._middle
+        return observations[:, : self._count].astype(np.float64) * self._scale + self._offset
 
     def __call__(self, observations: Observations) -> Values:
         """Return b (N,) for observations (N, d)."""

@@ -1,4 +1,4 @@
-"""The policy gradients that thesis 3.3.3 compares: the same network, observations and samples, another baseline."""
+"""The policy gradients that thesis 3.3.3 compares: they differ only in the baseline."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Method:
         baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V that is V_oc and a
             learnt correction; with a part that depends on the action, "stein" and "q_prop".
         end: Value at the end of the n-step returns in G^lambda: V_oc ("oc") or the on-policy V ("value").
-        gae_lambda: lambda of G^lambda.
-        entropy: coefficient of the entropy bonus.
-        noise: standard deviation of what is added to the state before V_oc is asked.
+        gae_lambda: Coefficient lambda of G^lambda.
+        entropy: Coefficient of the entropy bonus.
+        noise: Standard deviation of noise on the state before V_oc is evaluated.
     """
 
     label: str
@@ -38,7 +38,7 @@ class Method:
 
     @property
     def needs_value(self) -> bool:
-        """Whether it asks V_oc."""
+        """Whether it needs V_oc."""
         return self.baseline in ("oc", "corrected")
 
 
@@ -59,7 +59,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "oc_own_end": Method("PPO, OC baseline, G on own V", baseline="oc", end="value"),
     }
 )
-"""All methods by name, those that matter most first."""
+"""All methods by name, the most important first."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -70,5 +70,5 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ends": ("oc_ppo", "oc_corrected", "oc_lambda_0.7", "lambda_0.7", "oc_lambda_1", "oc_own_end", "ppo"),
     }
 )
-"""Which methods are compared with each other: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and what
-G^lambda ends on; `oc_corrected` is not of the thesis."""
+"""Comparisons: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and the end of G^lambda. `oc_corrected` is
+not in the thesis."""

@@ -58,7 +58,7 @@ class OcRun(SimulatedRun):
         method_name: One of `METHODS`.
         seed: Seed of everything random.
         value: File of V_oc; the network that comes with the package unless given.
-        engine: "planar" to learn in a fleet where the task fits one, or "auto" for one robot at a time in PyBullet.
+        engine: "planar" to learn in a fleet if the task fits one, or "auto" for one robot at a time in PyBullet.
     """
 
     task: NavigationTask
@@ -77,7 +77,7 @@ class OcRun(SimulatedRun):
         """The method.
 
         Raises:
-            OcError: there is no such method.
+            OcError: There is no such method.
         """
         method: Method = find_method(METHODS, self.method_name, OcError)
         return method
@@ -110,7 +110,7 @@ class OcRun(SimulatedRun):
         """V_oc of the task.
 
         Raises:
-            OcError: the file is missing, or V_oc is of another version of the task.
+            OcError: The file is missing, or V_oc is of another version of the task.
             ValueFunctionError: V_oc is of another task or of other states.
         """
         file = find_value(self.value or self.task.name)
@@ -121,7 +121,7 @@ class OcRun(SimulatedRun):
 
     @property
     def discount(self) -> float:
-        """Discount of a step: that of V_oc, with which all methods are compared; without one the task's.
+        """Discount of a step: that of V_oc, for all compared methods; without V_oc the task's.
 
         Raises:
             OcError: see `network`; or a method without V_oc has none from the task either.
@@ -133,15 +133,15 @@ class OcRun(SimulatedRun):
         return self.task.optimal_control.discount
 
     def baseline(self) -> OcBaseline:
-        """Return b(s) = V_oc(x). Errors as for `network`."""
+        """Return b(s) = V_oc(x). Errors as in `network`."""
         return OcBaseline(self.network, self.task, self.method.noise)
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the task's environment, which pays what the task says."""
+        """Return the task's environment with the task's rewards."""
         return make_environment(self.task, rate, PaidTimeOut)
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples. Errors as for `network`."""
+        """Return the untrained algorithm with its environments, for a number of samples. Errors as in `network`."""
         method = self.method
         changes: dict[str, Any] = {
             "gamma": self.discount,
@@ -179,6 +179,6 @@ def oc_runs(
     value: Path | None = None,
     engine: str = "planar",
 ) -> list[OcRun]:
-    """Return all runs of a task, those that matter most first."""
+    """Return all runs of a task, the most important first."""
     ordered = sorted(methods, key=list(METHODS).index)
     return [OcRun(task, method, seed, value, engine) for method in ordered for seed in range(seeds)]

@@ -26,10 +26,10 @@ DISCOUNT = 0.99
 
 
 def load_option_task(name_or_path: str) -> OptionTask:
-    """Read a task that must be one with options, or a team.
+    """Load a task with options, or a team.
 
     Raises:
-        CtrlRlError: no such task, or it is of another kind.
+        CtrlRlError: There is no such task, or it has no options.
     """
     if is_team(name_or_path):
         return load_team(name_or_path)
@@ -45,10 +45,10 @@ def load_option_task(name_or_path: str) -> OptionTask:
 
 
 def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "features") -> Simulation:
-    """Return a task's low-level world, to be led by options or by low-level actions ("end2end").
+    """Return a task's low-level world, driven by options or by low-level actions ("end2end").
 
     Raises:
-        OptionError: images, or the thesis's options, are asked of a task that has none.
+        OptionError: The task has no images, or no such options.
     """
     if isinstance(task, WaterFilling):
         options: OptionSet = "published" if level == "options" else level

@@ -38,19 +38,19 @@ _METHODS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Train(ExperimentOptions):
-    """Learn joint options (thesis 5.3) from several seeds; go on where it was cut off."""
+    """Learn joint options (thesis 5.3) from several seeds; an interrupted run continues where it stopped."""
 
     folder: FolderToWrite = Path("runs/options")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has a subfolder and continues there where it stopped."""
     task: str | None = None
     """Task to learn (tool_delivery, water_filling, delivery_team or a file); with --bags, to evaluate in."""
     bags: tuple[Path, ...] = ()
     """Bags to learn from."""
     way: Literal["auto", "mappo", "imitation", "weighted"] = "auto"
-    """Way to learn from bags: auto takes MAPPO for a policy's own decisions and imitation for others; weighted imitates
-    decisions of anyone as far as they paid."""
+    """Way to learn from bags: auto uses MAPPO on a policy's own decisions and imitates others; weighted imitates any
+    decisions as far as they paid."""
     start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """Policy to go on from, with --bags."""
+    """Policy to start from, with --bags."""
     head: Annotated[str, one_of(HEADS)] = "table"
     """Head of a policy learnt from bags alone."""
     methods: Annotated[tuple[str, ...], some_of([*METHODS, "all"])] = _MAIN
@@ -58,7 +58,7 @@ class Train(ExperimentOptions):
     sight: Literal["features", "image"] = "features"
     """Observation of Water Filling's robots."""
     drop: float = 0.0
-    """Probability that a robot vanishes in an episode; 0 where methods are compared."""
+    """Probability that a robot drops out in an episode; 0 for comparisons."""
     evaluations: Positive = 50
     """Number of episodes at the end."""
 

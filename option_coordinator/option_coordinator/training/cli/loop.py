@@ -15,13 +15,13 @@ from option_coordinator.environments.tasks import load_option_task
 
 @dataclass(frozen=True, kw_only=True)
 class LoopOptions:
-    """Close the loop: a careless script's bags teach a policy, its bags the next one, and each is played and compared.
+    """Close the loop: learn a policy from a careless script's bags, the next from all bags so far, and compare them.
 
-    Interrupted with Ctrl-C, it goes on where it was when it is called again, and its results hold the runs so far.
+    After Ctrl-C the next call continues where it stopped; the results then hold the runs so far.
     """
 
     tasks: tuple[str, ...] = ("tool_delivery",)
-    """Tasks of teams: of the suite, or task files."""
+    """Team tasks: names from the suite, or task files."""
     seeds: Positive = 5
     """Number of seeds, counted from 0."""
     rounds: Positive = 3
@@ -29,9 +29,9 @@ class LoopOptions:
     episodes: Positive = 100
     """Episodes that each round records."""
     tests: Positive = 50
-    """Episodes that each round is judged by."""
+    """Evaluation episodes per round."""
     careless: float = 0.5
-    """Probability with which the script takes any option that is legal."""
+    """Probability that the script takes any legal option."""
     folder: FolderToWrite = Path("runs/options_loop")
     """Folder of the runs; each goes on there where it was cut off."""
     results: OptionalFileToWrite = None

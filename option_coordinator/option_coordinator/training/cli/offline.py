@@ -1,4 +1,4 @@
-"""The command `evaluate_offline`: what bags of other deciders say about a joint policy before robots play it."""
+"""The command `evaluate_offline`: estimates a joint policy's return from bags of others before robots run it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from option_coordinator.policies.policy_file import OptionPolicy, policy_file
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineOptions:
-    """Predict from bags what a joint policy would earn, with 95 % intervals, and say whether it may be called better.
+    """Predict a joint policy's return from bags, with 95 % intervals, and tell whether it may be called better.
 
-    Exits with 1 where the bags do not show that the policy is better than who decided in them.
+    Exits with 1 if the bags do not show that the policy is better than their deciders.
     """
 
     bags: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="BAG [BAG ...]")]
@@ -30,7 +30,7 @@ class OfflineOptions:
     updates: Positive = 1500
     """Number of updates of each fit."""
     fits: Positive = 3
-    """Number of fits, whose spread is part of the intervals."""
+    """Number of fits; their spread is part of the intervals."""
     seed: NotNegative = 0
     """Seed of fits, draws and resampling."""
     results: OptionalFileToWrite = None

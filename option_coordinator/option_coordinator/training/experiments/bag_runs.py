@@ -1,11 +1,10 @@
-"""Learning from recorded decisions: a run whose data are bags.
+"""Learns from recorded decisions: a run whose data are bags.
 
     run = BagRun((Path("runs/mine/bag"),), start=Path("policy.safetensors"))
     result = train(run, RunOptions(folder, ROUNDS[run.way], final_evaluations=50))
 
-Decisions that the policy itself has made are its own experience: it goes on learning from them with MAPPO's clipped
-ratios, to the log-probabilities that stand in the bag. Decisions of anything else, a script or another policy, say
-little about it: they are imitated, or, if asked for, as far as they paid.
+From its own decisions a policy goes on learning with MAPPO's clipped ratios to the log-probabilities in the bag.
+Decisions of a script or another policy are imitated or, if asked for, imitated as far as they paid.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from option_coordinator.training.learners.mappo import Mappo, WeightedImitation
 
 Way = Literal["mappo", "imitation", "weighted"]
 ROUNDS: Mapping[Way, int] = {"mappo": 3, "imitation": 20, "weighted": 20}
-"""Rounds that serve; MAPPO's ratios soon lead away from where the data are from, and nothing is gained by more."""
+"""Useful numbers of rounds; with more, MAPPO's policy soon leaves the distribution of its data."""
 _LEARNERS: Mapping[Way, type[GradientLearner]] = {
     "mappo": Mappo,
     "imitation": Imitation,
@@ -45,22 +44,22 @@ _LEARNERS: Mapping[Way, type[GradientLearner]] = {
 }
 _VALUE_ROUNDS = 10
 _SAME_RATIO = 1e-2
-"""How far a first ratio may be from 1 by rounding."""
+"""Rounding error of the first ratios."""
 
 
 @dataclass(frozen=True)
 class BagRun(Run):
-    """A run on recorded decisions; its folder then holds policy.safetensors (an `OptionPolicy`).
+    """A run on recorded decisions; it leaves policy.safetensors (an `OptionPolicy`) in its folder.
 
-    Each iteration goes ten times through the data. The result has, with a task, `before` and `after`: see `evaluate`.
+    Each iteration passes ten times over the data. With a task the result has `before` and `after`: see `evaluate`.
 
     Attributes:
         bags: Bags to learn from.
         start: Policy to go on from; None for a new one.
-        task_name: Name or file of a task to judge the policy in; without `start` it says what the robots can do.
+        task_name: Name or file of a task to evaluate the policy in; without `start` it defines the robots' options.
         head: Kind of joint policy, for a new one.
         seed: Seed of everything random.
-        asked: Way to learn; None for MAPPO where decisions are the policy's own, and imitation elsewhere.
+        asked: Way to learn; None for MAPPO on the policy's own decisions, and imitation of others.
     """
 
     bags: tuple[Path, ...]
@@ -72,14 +71,14 @@ class BagRun(Run):
 
     @property
     def name(self) -> str:
-        """Name of the run and of its folder: the digest of its data and of the policy that it begins with."""
+        """Name of the run and of its folder: a digest of its data and of the policy it starts from."""
         told = [self.data_digest, self.policy.digest if self.policy else self.head, self.task_name, self.seed]
         told += [self.asked] if self.asked is not None else []
         return f"bags-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
     @cached_property
     def policy(self) -> OptionPolicy | None:
-        """The policy to go on from."""
+        """The policy to start from."""
         return None if self.start is None else OptionPolicy.load(self.start)
 
     @cached_property
@@ -87,7 +86,7 @@ class BagRun(Run):
         """The robots.
 
         Raises:
-            OptionError: neither a policy nor a task says what they can do.
+            OptionError: Neither a policy nor a task defines their options.
         """
         if self.policy is not None:
             return self.policy.agents
@@ -97,11 +96,11 @@ class BagRun(Run):
 
     @cached_property
     def recordings(self) -> list[Recording]:
-        """What the bags hold.
+        """The recordings in the bags.
 
         Raises:
-            BagError: one cannot be read.
-            OptionError: one holds no such decisions, or of another team.
+            BagError: A bag cannot be read.
+            OptionError: A bag holds no decisions, or those of another team.
         """
         found, team = [], TeamLayout.of(self.agents)
         for bag in self.bags:
@@ -113,15 +112,16 @@ class BagRun(Run):
 
     @property
     def own(self) -> list[Recording]:
-        """Those by the policy to go on from."""
+        """Recordings of the policy to start from."""
         return [recording for recording in self.recordings if self.policy and recording.digest == self.policy.digest]
 
     @property
     def way(self) -> Way:
-        """How it is learnt.
+        """The way to learn.
 
         Raises:
-            OptionError: the policy does not draw: its own decisions tell it nothing; MAPPO is asked for without any.
+            OptionError: The policy does not draw, so its own decisions teach it nothing; or MAPPO has no such
+            decisions.
         """
         if self.asked is not None and self.asked != "mappo":
             return self.asked
@@ -135,18 +135,18 @@ class BagRun(Run):
 
     @cached_property
     def trajectory(self) -> OptionTrajectory:
-        """What is learnt from: by MAPPO the policy's own decisions, or else all."""
+        """The training data: for MAPPO the policy's own decisions, otherwise all."""
         used = self.own if self.way == "mappo" else self.recordings
         return OptionTrajectory.joined([recording.trajectory for recording in used])
 
     @property
     def left_out(self) -> int:
-        """Decisions that are not learnt from."""
+        """Number of decisions that are not used."""
         return sum(len(recording.trajectory) for recording in self.recordings) - len(self.trajectory)
 
     @cached_property
     def data_digest(self) -> str:
-        """SHA-256 of all that was recorded, hex."""
+        """SHA-256 of all recordings, hex."""
         digest = hashlib.sha256()
         for recording in self.recordings:
             digest.update(recording.digest.encode())
@@ -155,7 +155,7 @@ class BagRun(Run):
         return digest.hexdigest()
 
     def learner(self) -> Learner:
-        """Return the learner, as it begins."""
+        """Return the initial learner."""
         torch.manual_seed(self.seed)
         make = _LEARNERS[self.way]
         policy = self.policy
@@ -166,10 +166,10 @@ class BagRun(Run):
         return learner
 
     def environment(self) -> OptionEnvironment | None:
-        """Return what the policy is judged in, if a task was named: as it was learnt, where that is known.
+        """Return the environment to evaluate in, if a task was named, with the settings of the policy's training.
 
         Raises:
-            OptionError: the task is for other robots.
+            OptionError: The task has other robots.
         """
         if self.task_name is None:
             return None
@@ -181,7 +181,7 @@ class BagRun(Run):
         return environment
 
     def terms(self, options: RunOptions) -> dict[str, Any]:
-        """Return data, policy and settings."""
+        """Return what the run depends on: data, policy and settings."""
         return {
             "way": self.way,
             "from": self.policy.digest if self.policy is not None else "",

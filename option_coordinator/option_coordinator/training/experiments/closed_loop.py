@@ -1,7 +1,7 @@
 """The closed loop of a team: play, record, learn from the bags alone, play again, compare.
 
-Round 0 is a careless script. Each later round learns from the bags of all rounds before by weighted imitation, and
-records what its policy draws. A run goes on where it was cut off.
+Round 0 is a careless script. Each later round learns from all earlier bags by weighted imitation, and records the draws
+of its policy. An interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class LoopSettings:
     Attributes:
         rounds: Number of rounds after the script's.
         episodes: Number of recorded episodes of each round.
-        tests: Number of episodes that each round is judged by.
-        careless: Probability with which the script takes any option that is legal.
+        tests: Number of evaluation episodes per round.
+        careless: Probability that the script takes any legal option.
         seed: Seed of everything random.
         fit_updates: Number of updates of each of two fits of the offline evaluation.
     """
@@ -67,7 +67,7 @@ class LoopSettings:
 
 
 class CarelessScript:
-    """The task's script, which now and then takes any option that is legal."""
+    """The task's script, which sometimes takes any legal option."""
 
     digest = ""
 
@@ -78,7 +78,7 @@ class CarelessScript:
         self._generator = np.random.default_rng((seed, 1))
 
     def __call__(self, decision: Decision) -> Choice:
-        """Return what the script says, or something else."""
+        """Return the script's options, some of them replaced by random ones."""
         named = self._script(decision)
         wild = self._any(decision)
         options = decision.running.copy()
@@ -92,7 +92,7 @@ class CarelessScript:
 
 
 class DrawnPolicy:
-    """A policy's own draws."""
+    """A policy that draws its options."""
 
     def __init__(self, policy: OptionPolicy, seed: int) -> None:
         self.digest = policy.digest
@@ -109,13 +109,13 @@ Driver = CarelessScript | DrawnPolicy
 
 
 def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return each round's episodes in figures: see `evaluation.summary`, and `returns` of each.
+    """Run the loop; return each round's `evaluation.summary` and the `returns` of its episodes.
 
     Args:
         task: Name or file of a task of a team.
         folder: Folder of the run.
         settings: Settings of the loop.
-        tell: Takes a line about each round.
+        tell: Called with a line about each round.
 
     Raises:
         CtrlRlError: There is no such task; a file of an earlier call is damaged; the disk refuses.
@@ -152,7 +152,7 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
 def play(
     environment: OptionEnvironment, driver: Driver, seeds: range, bag: TeamBag | None = None
 ) -> Iterator[OptionEpisode]:
-    """Return an iterator of an episode for each seed, recorded where there is a bag."""
+    """Play an episode for each seed, and record it if there is a bag."""
 
     def choose(decision: Decision) -> dict[str, int]:
         choice = driver(decision)
@@ -176,7 +176,7 @@ def _driver(
     seed: int,
     result: dict[str, Any],
 ) -> Driver:
-    """Return the script, or the policy that is learnt from the bags so far, and add what they say of it."""
+    """Return the script, or the policy learnt from the bags so far, whose offline evaluation is added to `result`."""
     if not bags:
         return CarelessScript(environment, settings.careless, seed)
     run = BagRun(tuple(bags), None, task, seed=settings.seed, asked="weighted")

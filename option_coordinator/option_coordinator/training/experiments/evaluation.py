@@ -1,4 +1,4 @@
-"""How good a policy is: episodes of it, and what they amount to."""
+"""Evaluates policies: episodes and their averages."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from option_coordinator.environments.roll_out import JointDecisionPolicy, Option
 from option_coordinator.policies.joint_policy import JointPolicy
 
 DRAWS, MODE = "draws", "mode"
-"""Ways to use a policy: as it draws (Q-learning: as it explores at the end of the run), or its most likely options."""
+"""Ways to use a policy: its draws (for Q-learning, its final exploration), or its most likely options."""
 _SEED = 2_000_000
 
 
 def fresh(episodes: int) -> range:
-    """Return the seeds of so many episodes: the same worlds for all that is judged, and none that was learnt in."""
+    """Return the seeds of evaluation episodes: the same worlds for every policy, none of them used in learning."""
     return range(_SEED, _SEED + episodes)
 
 
 def evaluate(
     environment: OptionEnvironment, draws: JointPolicy, mode: JointPolicy, episodes: int, seed: int
 ) -> dict[str, dict[str, float]]:
-    """Return how two uses of what was learnt go, `DRAWS` and `MODE`, in the same episodes; see `summary`.
+    """Evaluate both uses of a policy, `DRAWS` and `MODE`, in the same episodes; see `summary`.
 
     Args:
         environment: Environment to play in.
         draws: Policy whose options are drawn.
-        mode: Policy whose most likely options are taken; they may go round in circles where little is observed.
+        mode: Policy whose most likely options are taken; with few observations it may run in circles.
         episodes: Number of episodes of each use.
         seed: Seed of the run; worlds are the same for all runs, draws are each run's own.
     """

@@ -67,7 +67,7 @@ def evaluate_offline(
         recordings: Decisions of others, as `recordings` reads them from bags.
         policy: Policy of the same team; its options are drawn.
         updates: Number of updates of each fit.
-        fits: Number of fits, whose spread is part of the intervals.
+        fits: Number of fits; their spread is part of the intervals.
         seed: Seed of fits, draws and resampling.
         tell: Told the number of updates since the last call.
 

@@ -35,18 +35,18 @@ _MEMORY = "memory."
 
 
 class Checkpoints:
-    """The part of a `Learning` that saves and loads its learner."""
+    """Saves and loads the learner of a `Learning`."""
 
     _learner: Learner
 
     def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
-        """Write a checkpoint; `progress` is what else to go on with, as JSON."""
+        """Write a checkpoint; `progress` is further state as JSON."""
         arrays = state_arrays(self._learner.networks, self._learner.optimizers)
         arrays |= {f"{_MEMORY}{name}": array for name, array in self._learner.memory().items()}
         save_arrays(path, arrays, progress)
 
     def load(self, path: Path, /) -> dict[str, Any]:
-        """Bring the new learner to where a checkpoint was and return the progress.
+        """Restore the learner from a checkpoint and return the progress.
 
         Raises:
             Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.

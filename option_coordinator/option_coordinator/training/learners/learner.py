@@ -1,4 +1,4 @@
-"""The interface of learners of joint options, the base of those that learn in minibatches, and imitation."""
+"""Learners of joint options: their interface, the base of those that learn in minibatches, and imitation."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from option_coordinator.training.heads.heads import as_numpy, make_head
 
 
 class Learner(ABC):
-    """Learns a joint policy from option-level trajectories that it gathers itself.
+    """Learns a joint policy from option-level trajectories.
 
     Attributes:
         network: Network of the joint policy.
         networks: All networks by name, for checkpoints.
         optimizers: All optimisers by name, for checkpoints.
-        greedy: Whether the policy is used by its most likely options, not by draws.
+        greedy: Whether the policy is used by its most likely options rather than by draws.
         settings: Settings of the algorithm, a dataclass.
     """
 
@@ -41,28 +41,28 @@ class Learner(ABC):
 
     @abstractmethod
     def behaviour(self, progress: float) -> JointPolicy:
-        """Return the behaviour policy of the next trajectory, when this part (0 to 1) of the run is done."""
+        """Return the behaviour policy of the next trajectory at some progress (0 to 1) of the run."""
 
     @abstractmethod
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from a trajectory and return metrics of the update."""
 
     def descend(self, loss: Tensor) -> None:
-        """Take a step down a loss, with the gradient of each network clipped to `settings.gradient_norm`."""
+        """Take an optimiser step on a loss, with each network's gradient clipped to `settings.gradient_norm`."""
         (optimizer,) = self.optimizers.values()
         clipped = [each for network in self.networks.values() if (each := list(network.parameters()))]
         gradient_step(optimizer, loss, *clipped, largest_norm=self.settings.gradient_norm)
 
     def memory(self) -> Arrays:
-        """Return the rest of its state as arrays, for checkpoints."""
+        """Return the rest of the state as arrays, for checkpoints."""
         return {}
 
-    def recall(self, arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - most remember nothing
-        """Take up what `memory` returned."""
+    def recall(self, arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - most have no further state
+        """Restore what `memory` returned."""
 
 
 def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> DecisionBatch:
-    """Return a trajectory's decisions as tensors; with `presence` the observation tells which agents are present."""
+    """Return a trajectory's decisions as tensors; with `presence` observations include which agents are present."""
     seen = trajectory.observation
     return DecisionBatch(
         observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),
@@ -82,7 +82,7 @@ Rows = Tensor | slice
 
 
 class GradientLearner(Learner):
-    """Has a joint policy, which explores by its own draws, and one optimiser; `settings` name epochs and minibatch.
+    """Base of learners with one joint policy, which explores by its own draws, and one optimiser.
 
     Args:
         agents: Agents whose options are learned.
@@ -110,15 +110,15 @@ class GradientLearner(Learner):
         self._policy = make_policy(head, as_numpy(self.network), counts, partial, presence)
 
     def behaviour(self, progress: float) -> JointPolicy:  # noqa: ARG002 - it explores by its own draws
-        """Return the policy, which goes on changing as it learns."""
+        """Return the policy itself, which changes as it learns."""
         return self._policy
 
     def other_networks(self, agents: Sequence[Agent]) -> Mapping[str, nn.Module]:  # noqa: ARG002 - most have none
-        """Return the networks by name that it learns besides the policy's."""
+        """Return the further networks that it learns, by name."""
         return {}
 
     def minibatches(self, steps: int, generator: np.random.Generator) -> Iterator[Rows]:
-        """Yield the rows of a batch of so many steps `epochs` times, in random parts of about `minibatch`, or all."""
+        """Yield random parts of about `minibatch` rows, `epochs` times over all steps."""
         count = round(steps / self.settings.minibatch)
         for _ in range(self.settings.epochs):
             if count <= 1:
@@ -144,15 +144,15 @@ class ImitationSettings:
 
 
 class Imitation(GradientLearner):
-    """Raises log pi-hat(o_U | o_not-U, s) of what was chosen, whatever it brought."""
+    """Maximises log pi-hat(o_U | o_not-U, s) of the chosen options, whatever their reward."""
 
     SETTINGS = ImitationSettings
 
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
-        """Learn from what was chosen.
+        """Learn from the chosen options.
 
         Returns:
-            `log_prob` of it and `entropy`, means of the last minibatch [nat].
+            `loss`, `log_prob` of the options and `entropy`, means of the last minibatch [nat].
         """
         decisions = decision_batch(trajectory, self.presence)
         figures: dict[str, float] = {}
@@ -161,5 +161,6 @@ class Imitation(GradientLearner):
             score = self.network(decisions.at(rows))
             log_prob = score.log_prob.mean()
             gradient_step(optimizer, -log_prob)
-            figures = {"log_prob": float(log_prob.detach()), "entropy": float(score.entropy.mean().detach())}
+            told = float(log_prob.detach())
+            figures = {"loss": -told, "log_prob": told, "entropy": float(score.entropy.mean().detach())}
         return figures

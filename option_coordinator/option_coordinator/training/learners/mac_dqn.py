@@ -1,8 +1,8 @@
 """Mac-DQN (thesis 5.3.4): double Q-learning of joint options, with the same network as the other methods.
 
-The best joint option is sought among those that agree with what the others run, in acting and in the target alike. The
-published one has a recurrent network; like the policies that it is compared with, this one has none. Q is learnt on a
-running scale, as the others' V is: returns of 190 are out of reach of a few thousand steps in units of reward.
+Acting and target alike maximise over the joint options that agree with what the others run. The published version has a
+recurrent network; this one, like the policies it is compared with, has none. Q is learnt on a running scale, like the
+others' V: in units of reward, a few thousand steps would not reach returns of 190.
 """
 
 from __future__ import annotations
@@ -73,10 +73,10 @@ class _EpsilonGreedyConditional(Conditional):
 
 @dataclass(frozen=True)
 class MacDqnSettings:
-    """The published ones as far as they fit a network without memory.
+    """The published settings, as far as they fit a network without memory.
 
-    It learns from option steps, not from episodes: as many as 16 and 1000 published episodes have, about. The discount
-    is the other methods', not 1; and the exploration is a part of the run, as runs have other lengths.
+    Batch and replay count option steps, about as many as the published 16 and 1000 episodes have. The discount is the
+    other methods', not 1, and the exploration is a fraction of the run, because runs differ in length.
 
     Attributes:
         learning_rate: Learning rate of Adam.
@@ -84,10 +84,10 @@ class MacDqnSettings:
         replay: Number of option steps that are kept.
         update_samples: Number of low-level samples between two updates.
         target_samples: Number of low-level samples between two copies of the network into the target.
-        exploration: Part of the run over which epsilon falls from 1 to its end.
+        exploration: Fraction of the run over which epsilon falls from 1 to `epsilon_end`.
         epsilon_end: Value of epsilon after the exploration.
         huber: Error at which the loss turns linear, on the normalised scale.
-        gradient_norm: Largest norm of the gradient.
+        gradient_norm: Maximum norm of the gradient.
     """
 
     learning_rate: float = 6e-4
@@ -136,17 +136,17 @@ class MacDqn(Learner):
         return EpsilonGreedy(self._best, 1.0 + done * (self.settings.epsilon_end - 1.0))
 
     def memory(self) -> Arrays:
-        """Return the replay and how far it is."""
+        """Return the replay and the counters."""
         replay = {f"replay.{name}": array for name, array in self._replay.arrays().items()}
         return {"counts": np.array([self._samples, self._copied]), **replay}
 
     def recall(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Take up what `memory` returned."""
+        """Restore what `memory` returned."""
         self._samples, self._copied = (int(count) for count in arrays["counts"])
         self._replay.restore({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
 
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
-        """Keep what was gathered and take one step on a batch of what is kept.
+        """Store a trajectory and take one step on a batch from the replay.
 
         Returns:
             `value_loss`, on the learnt scale.
@@ -168,10 +168,10 @@ class MacDqn(Learner):
         ]
         loss = nn.functional.huber_loss(values, targets, delta=self.settings.huber)
         self.descend(loss)
-        return {"value_loss": float(loss.detach())}
+        return {"loss": float(loss.detach()), "value_loss": float(loss.detach())}
 
     def _next_values(self, batch: OptionTrajectory) -> Tensor:
-        """Return the target's value of what the network would choose next, given what runs on [reward]."""
+        """Return the target's value of the network's next choice, given the running options [reward]."""
         following = decision_batch(batch)._replace(
             observation=as_tensor(batch.next_observation),
             options=torch.from_numpy(batch.next_running),
@@ -181,5 +181,5 @@ class MacDqn(Learner):
         allowed = self.network.allowed(following)
         best = self.network.logits(following.observation).masked_fill(~allowed, -torch.inf).argmax(dim=1)
         values = self.target.logits(following.observation).gather(1, best[:, None])[:, 0]
-        # Not on the scale of now: what is learnt towards stands still between two copies.
+        # On the target's own scale, so that targets stay fixed between two copies.
         return self.target_scale.undo(values)

@@ -19,7 +19,7 @@ from option_coordinator.training.learners.learner import GradientLearner, Rows, 
 
 @dataclass(frozen=True)
 class MappoSettings:
-    """The published ones, but for the minibatch, which was all that Water Filling gathers between updates.
+    """The published settings, except for the minibatch, which was all data between updates in Water Filling.
 
     Attributes:
         learning_rate: Learning rate of policy and value.
@@ -29,7 +29,7 @@ class MappoSettings:
         epochs: Number of passes over the data in an update.
         minibatch: Approximate number of option steps of a minibatch.
         huber: Error at which the value's loss turns linear, on the normalised scale.
-        gradient_norm: Largest norm of the gradient.
+        gradient_norm: Maximum norm of the gradient.
     """
 
     learning_rate: float = 5e-4
@@ -43,7 +43,7 @@ class MappoSettings:
 
 
 class Mappo(GradientLearner):
-    """Conditional MAPPO; with `partial`, one policy for each agent (Eq. 5.5) and still one value of all."""
+    """Conditional MAPPO; with `partial`, one policy per agent (Eq. 5.5) but still one joint value."""
 
     SETTINGS = MappoSettings
     ADAM_EPSILON = 1e-5
@@ -55,10 +55,10 @@ class Mappo(GradientLearner):
         return {"value": self.value}
 
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
-        """Learn from what was gathered.
+        """Learn from a trajectory.
 
         Returns:
-            `ratio`: how far the first ratios are from 1 at most; `entropy` of the choices; `value_loss`.
+            `ratio`: maximum deviation of the first ratios from 1; `entropy` of the choices; `value_loss`.
         """
         figures: dict[str, float] = {}
         batch = self._batch(trajectory)
@@ -68,7 +68,7 @@ class Mappo(GradientLearner):
         return figures
 
     def learn_value(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> None:
-        """Learn the value of a trajectory, and leave the policy as it is."""
+        """Learn only the value of a trajectory, not the policy."""
         batch = self._batch(trajectory)
         for rows in self.minibatches(len(trajectory), generator):
             self.descend(self._value_loss(batch.at(rows)))
@@ -102,6 +102,7 @@ class Mappo(GradientLearner):
         self.descend(loss + value_loss)  # they share no parameter
         return {
             "ratio": float((ratio - 1.0).abs().max().detach()),
+            "loss": float(loss.detach()),
             "entropy": float(entropy.detach()),
             "value_loss": float(value_loss.detach()),
         }
@@ -132,7 +133,7 @@ class WeightedImitationSettings(MappoSettings):
     """Settings of weighted imitation, beside MAPPO's for the value.
 
     Attributes:
-        temperature: Advantage that multiplies a weight by e, in standard deviations.
+        temperature: Advantage, in standard deviations, that multiplies a weight by e.
         largest_weight: Limit of a weight.
     """
 
@@ -141,7 +142,7 @@ class WeightedImitationSettings(MappoSettings):
 
 
 class WeightedImitation(Mappo):
-    """Raises log pi-hat(o_U | o_not-U, s) of the options that brought more than the value expected.
+    """Maximises log pi-hat(o_U | o_not-U, s) of options, weighted by how much they exceeded the expected value.
 
     Cloning weighted by exp(advantage / temperature): Wang et al. 2018 (MARWIL), with the joint conditional policy in
     place of a single agent's and gamma^tau in place of gamma. Whatever chose the options, the rewards in the bags say
@@ -167,6 +168,7 @@ class WeightedImitation(Mappo):
             value_loss = self._value_loss(batch)
             self.descend(value_loss - log_prob)  # they share no parameter
             figures = {
+                "loss": float((value_loss - log_prob).detach()),
                 "log_prob": float(log_prob.detach()),
                 "entropy": float(score.entropy.mean().detach()),
                 "value_loss": float(value_loss.detach()),
