@@ -225,6 +225,7 @@ FileToWrite = Annotated[Path, checked(file_to_write, "FILE")]
 OptionalFileToWrite = Annotated[Path | None, checked(file_to_write, "FILE")]
 """The same, where the option may be left out."""
 FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
+OptionalFolderToWrite = Annotated[Path | None, checked(folder_to_write, "FOLDER")]
 """An option that names a folder to write to."""
 
 

@@ -1,5 +1,6 @@
 """Learning with the real library in the real simulator: it resumes exactly, and its policies need no torch."""
 
+import csv
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from ctrl_rl_learning.study.matrix import run_experiments
 from ctrl_rl_learning.study.run import RunOptions
 from ctrl_rl_learning.study.run_folder import result_file
 from ctrl_rl_learning.study.trainer import train
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from ctrl_rl_core import Actor, PolicyError, load_navigation_task
 
@@ -60,6 +62,13 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, algor
     counts = load_visits(folder / "visits.safetensors")
     assert counts["places"].shape[0] == 2
     assert counts["turns"].sum(axis=1).tolist() == [ROLL_OUT, ROLL_OUT]
+    with (folder / "curve.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["samples"]) for row in rows] == [ROLL_OUT, 2 * ROLL_OUT]
+    events = EventAccumulator(str(folder)).Reload()
+    for name in ("success", "return", "loss", *(["entropy"] if algorithm in ("ppo", "sac") else [])):
+        shown = [event.value for event in events.Scalars(name)]
+        assert shown == pytest.approx([float(row[name]) for row in rows if row[name]])
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

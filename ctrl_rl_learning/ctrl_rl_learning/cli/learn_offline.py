@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from ctrl_rl_core.command import (
     FileToWrite,
     FolderToWrite,
     NotNegative,
+    OptionalFolderToWrite,
     OptionalNotNegativeNumber,
     Positive,
     make_command,
@@ -23,6 +25,7 @@ from tqdm import tqdm
 from ctrl_rl_core import load_navigation_task
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_VALUE, LearningSettings
+from ctrl_rl_learning.study.curves import Curves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +63,8 @@ class LearnOptions(TaskOptions):
     """Number of updates of the networks."""
     hidden: Positive = 128
     """Units of each of the two hidden layers."""
+    curves: OptionalFolderToWrite = None
+    """Folder for the curves of the losses, as CSV and for TensorBoard (default: none are written)."""
     overwrite: bool = False
     """Replace the file if it exists."""
 
@@ -82,8 +87,11 @@ def _learn(options: LearnOptions) -> int:
     clearance = clearance_of(task, options.clearance)
     values = None if named is None else load_values(named, task, options.values, clearance)
     settings = LearningSettings(options.method, options.updates, hidden=options.hidden, seed=options.seed)
-    with tqdm(total=settings.updates, desc="learning", unit="update", disable=None) as bar:
-        actor = learn(transitions, task, settings, values, {"bags": [run.name for run in options.runs]}, bar.update)
+    about = {"bags": [run.name for run in options.runs]}
+    with ExitStack() as opened:
+        curves = None if options.curves is None else opened.enter_context(Curves(options.curves))
+        bar = opened.enter_context(tqdm(total=settings.updates, desc="learning", unit="update", disable=None))
+        actor = learn(transitions, task, settings, values, about, bar.update, curves)
     actor.save(options.output)
     print(f"policy     {options.output}: {task.name}, {METHODS[options.method]}")
     print(

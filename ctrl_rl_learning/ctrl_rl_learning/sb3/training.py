@@ -28,10 +28,11 @@ from ctrl_rl_core import (
     interface_of,
     task_digest,
 )
-from ctrl_rl_learning.sb3.algorithms import extract_actor, number_of_environments
+from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE, extract_actor, number_of_environments
 from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, Environment, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
+from ctrl_rl_learning.sb3.losses import entropy_of, listen
 from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
 from ctrl_rl_learning.sb3.state_visitation import Visits
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
@@ -46,8 +47,8 @@ class SimulatedRun(Run):
 
     Its folder then holds policy.safetensors (an `Actor`) and visits.safetensors (how often states were met: `Visits`).
     A point of its curve says samples, episodes and how they ended, success of the evaluation and its mean undiscounted
-    return, and `notes`; its result has `success`, `returns` and how they `ended` (of the last evaluation) and `paths`
-    (states of its first episodes).
+    return, `losses` (see `LossLogger.take`), and `notes`; its result has `success`, `returns` and how they `ended` (of
+    the last evaluation) and `paths` (states of its first episodes).
 
     Attributes:
         seed: Seed of everything random.
@@ -146,11 +147,12 @@ class _Learning:
         self._options = options
         self._model = model
         self._test = test
-        self._visits = Visits(run.task)
+        self._visits, self._logger = Visits(run.task), listen(model)
 
     def iterate(self, curve: Sequence[Point], /) -> Point:
         run, model, options = self._run, self._model, self._options
         outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
+        losses = self._logger.take() | entropy_of(model)
         actor = extract_actor(model, run.task, {})
         tested = self._test(actor, options.evaluations, _EVALUATION_SEED)
         self._visits.end_iteration()
@@ -160,6 +162,7 @@ class _Learning:
             "ended": _count(outcomes),
             "evaluation": _rate([episode.outcome for episode in tested]),
             "return": float(np.mean([episode.total for episode in tested])) if tested else 0.0,
+            "losses": losses,
             "notes": run.notes(model),
         }
 
@@ -227,25 +230,31 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
 
 
 class Recorder(BaseCallback):
-    """Notes how episodes end and which states they meet.
+    """Notes how episodes end, what they return and which states they meet.
 
     Args:
         visits: Counter that states are added to, None for none.
 
     Attributes:
         outcomes: Outcomes of the episodes that ended.
+        returns: Undiscounted return of each.
     """
 
     def __init__(self, visits: Visits | None = None) -> None:
         super().__init__()
         self.outcomes: list[str] = []
-        self._visits = visits
+        self.returns: list[float] = []
+        self._visits, self._totals = visits, np.zeros(0)
 
     def _on_step(self) -> bool:
         infos = self.locals["infos"]
         if self._visits is not None:
             self._visits.add([info["state"] for info in infos])
-        self.outcomes += [info["outcome"] for info, done in zip(infos, self.locals["dones"], strict=True) if done]
+        dones = self.locals["dones"]
+        self._totals = (self._totals if len(self._totals) else np.zeros(len(dones))) + self.locals["rewards"]
+        self.outcomes += [info["outcome"] for info, done in zip(infos, dones, strict=True) if done]
+        self.returns += (self._totals[dones] / REWARD_SCALE).tolist()
+        self._totals[dones] = 0.0
         return True
 
 

@@ -20,6 +20,7 @@ from pydantic import ValidationError
 
 from ctrl_rl_core import CtrlRlError, atomic_write
 from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.study.curves import Curves
 from ctrl_rl_learning.study.run import Learning, Run, RunOptions
 from ctrl_rl_learning.study.run_folder import Progress, check_same, read_result, result_file
 
@@ -33,7 +34,8 @@ Report = Callable[[AnyRun, int, float | str], None]
 def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; read a finished run instead of learning it again.
 
-    The folder of the run then holds result.json, which is returned, and what `Learning.finish` writes. A finished run
+    The folder of the run then holds result.json, which is returned, its curves (see `curves`), and what
+    `Learning.finish` writes. A finished run
     keeps no checkpoint, which is large with a replay: it cannot be made longer.
 
     Args:
@@ -85,13 +87,15 @@ def _learn(
                     f"{checkpoint}: has {len(curve)} iterations already: ask for no fewer, or delete it to begin anew"
                 )
             report(run, len(curve), run.words(curve[-1]))
-        while len(curve) < options.iterations and not run.should_stop(curve):
-            start, cpu = time.perf_counter(), time.process_time()
-            point = learning.iterate(curve)
-            took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - cpu}
-            curve.append({**point, **{name: round(each, 2) for name, each in took.items()}})
-            learning.save(checkpoint, {"run": terms, "curve": curve})
-            report(run, len(curve), run.words(point))
+        with Curves(finished.parent, curve) as curves:
+            while len(curve) < options.iterations and not run.should_stop(curve):
+                start, cpu = time.perf_counter(), time.process_time()
+                point = learning.iterate(curve)
+                took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - cpu}
+                curve.append({**point, **{name: round(each, 2) for name, each in took.items()}})
+                learning.save(checkpoint, {"run": terms, "curve": curve})
+                curves.add(curve[-1])
+                report(run, len(curve), run.words(point))
         cpu = time.process_time()
         result = {"run": terms, "curve": curve, **learning.finish(finished.parent)}
         finishing = time.process_time() - cpu

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,10 @@ import torch
 from ctrl_rl_learning.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
 from ctrl_rl_learning.sb3.environment import Environment, make_environment, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet, fits_fleet
+from ctrl_rl_learning.sb3.losses import entropy_of, listen
 from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
+from ctrl_rl_learning.sb3.training import Recorder
+from ctrl_rl_learning.study.curves import Curves
 
 from ctrl_rl_core import Actor, Episodes, NavigationTask, interface_of, load_navigation_task, task_digest
 from ttr_reward_node.rewards.progress import TimeToReach
@@ -34,6 +38,7 @@ def train(
     seed: int = 0,
     episodes: int = 50,
     tell: Callable[[int], object] | None = None,
+    curves: str | Path | None = None,
 ) -> Actor:
     """Learn a policy in a simulated task; robots drive side by side where the task is a fleet's.
 
@@ -54,6 +59,7 @@ def train(
         seed: Seed of everything random.
         episodes: Number of fresh episodes in which the policy is tried.
         tell: Function that is told the number of samples after each roll-out.
+        curves: Folder for the curves of loss, return, entropy and success, as CSV and for TensorBoard.
 
     Raises:
         CtrlRlError: There is no such task or algorithm, or the reward does not fit the task.
@@ -70,14 +76,20 @@ def train(
     model = make_algorithm(
         algorithm, FleetEnvironments(task, number, pay.for_robots(number)) if in_fleet else make, seed, samples
     )
-    try:
+    logger = listen(model)
+    with ExitStack() as opened:
+        if model.env is not None:
+            opened.callback(model.env.close)
+        drawn = None if curves is None else opened.enter_context(Curves(Path(curves)))
         for done in range(0, samples, ROLL_OUT):
-            model.learn(ROLL_OUT, reset_num_timesteps=done == 0)
+            recorder = Recorder()
+            model.learn(ROLL_OUT, recorder, reset_num_timesteps=done == 0)
+            if drawn is not None:
+                drawn.add(
+                    {"samples": done + ROLL_OUT, **_figures(recorder), "losses": logger.take() | entropy_of(model)}
+                )
             if tell is not None:
                 tell(done + ROLL_OUT)
-    finally:
-        if model.env is not None:
-            model.env.close()
     manifest = {
         "task": task.name,
         "task_digest": task_digest(task),
@@ -93,6 +105,14 @@ def train(
     success = sum(episode.outcome == SUCCESS for episode in tried) / max(episodes, 1)
     metrics = {"success": success, "episodes": episodes}
     return replace(actor, manifest={**manifest, "metrics": metrics}, interface=interface_of(task))
+
+
+def _figures(recorder: Recorder) -> dict[str, float]:
+    """Return success and return of the episodes that ended; nothing where none did."""
+    count = len(recorder.outcomes)
+    if not count:
+        return {}
+    return {"success": recorder.outcomes.count(SUCCESS) / count, "return": sum(recorder.returns) / count}
 
 
 def _environment(task: NavigationTask, pay: TimeToReach) -> Environment:

@@ -22,7 +22,11 @@ from ctrl_rl_learning.offline.learners.batches import batches, scales_of
 from ctrl_rl_learning.offline.learners.improvement import improved_actions
 from ctrl_rl_learning.offline.learners.learners import LEARNERS, Batch
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
+from ctrl_rl_learning.study.curves import Curves
 from ctrl_rl_learning.torch.networks import new_actor
+
+_POINTS = 100
+"""Points of the curves."""
 
 
 def learn(
@@ -32,6 +36,7 @@ def learn(
     values: StateValues | None = None,
     about: Mapping[str, Any] | None = None,
     tell: Callable[[int], object] = lambda _: None,
+    curves: Curves | None = None,
 ) -> Actor:
     """Return a policy learnt from transitions alone.
 
@@ -42,6 +47,7 @@ def learn(
         values: Value function that weighs or criticises; only some methods need one.
         about: More for the policy's manifest, as JSON.
         tell: Told the number of updates since the last call.
+        curves: Curves that the mean losses of each hundredth of the updates are added to.
 
     Raises:
         LearningError: There is no such method, it lacks a value function, or the bags have no rewards.
@@ -57,10 +63,16 @@ def learn(
         torch.manual_seed(settings.seed)
         learner = LEARNERS[settings.method](new_actor(interface, settings.hidden, middle, unit), settings)
         random = np.random.default_rng(settings.seed)
-        for count, batch in enumerate(batches(batch_of, settings.batch, settings.updates, random)):
-            learner.anneal(count / settings.updates)
-            learner.update(Batch(*batch))
+        losses: dict[str, list[torch.Tensor]] = {}
+        for count, batch in enumerate(batches(batch_of, settings.batch, settings.updates, random), 1):
+            learner.anneal((count - 1) / settings.updates)
+            for name, loss in learner.update(Batch(*batch)).items():
+                losses.setdefault(name, []).append(loss)
             tell(1)
+            if curves is not None and (count % max(1, settings.updates // _POINTS) == 0 or count == settings.updates):
+                means = {name: float(torch.stack(each).mean()) for name, each in losses.items()}
+                curves.add({"updates": count, "loss": next(iter(means.values())), **means})
+                losses = {}
     manifest = {
         "task": task.name,
         "task_digest": task_digest(task),

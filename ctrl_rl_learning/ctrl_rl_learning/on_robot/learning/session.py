@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from ctrl_rl_core import Outcome
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner
+from ctrl_rl_learning.study.curves import Curves
 from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
 
 Vector = NDArray[np.float32]
@@ -41,6 +42,8 @@ class EpisodeLog:
         late_scans: Number of scans that came too late or out of order.
         operator: Number of steps in which the operator drove.
         changed: Mean part of the commands that the safety filter changed.
+        total: Undiscounted return.
+        losses: Mean losses of the updates after the episode, by name.
     """
 
     outcome: str = Outcome.RUNNING.name
@@ -52,9 +55,16 @@ class EpisodeLog:
     late_scans: int = 0
     operator: int = 0
     changed: float = 0.0
+    total: float = 0.0
+    losses: dict[str, float] = field(default_factory=dict)
 
-    def add(self, info: Mapping[str, Any]) -> None:
-        """Add a step by its info."""
+    def point(self) -> dict[str, Any]:
+        """Return the episode as a point of the curves."""
+        return {**asdict(self), "evaluation": float(self.outcome == Outcome.GOAL.name), "return": self.total}
+
+    def add(self, reward: float, info: Mapping[str, Any]) -> None:
+        """Add a step by its reward and its info."""
+        self.total += reward
         self.changed += (info["changed"] - self.changed) / (self.steps + 1)
         self.outcome, self.steps, self.seconds = info["outcome"], self.steps + 1, self.seconds + info["duration"]
         self.missed, self.late_scans = self.missed + info["missed"], self.late_scans + info["late_scans"]
@@ -110,15 +120,19 @@ class Session:
         Raises:
             LearningError: The robot does not answer; the checkpoint holds all episodes before.
         """
-        while self.seconds < seconds:
-            number = len(self.episodes)
-            random = np.random.default_rng((self._seed, number))
-            torch.manual_seed(self._seed * _SEEDS_APART + number)
-            log = self._drive(self._seed * _SEEDS_APART + number, _Explorer(self._tuner, random), remember=True)
-            self._tuner.learn(log.steps, random)
-            self.episodes.append(log)
-            self._save()
-            tell(log)
+        if self.seconds >= seconds:
+            return
+        with Curves(self._folder, [each.point() for each in self.episodes]) as curves:
+            while self.seconds < seconds:
+                number = len(self.episodes)
+                random = np.random.default_rng((self._seed, number))
+                torch.manual_seed(self._seed * _SEEDS_APART + number)
+                log = self._drive(self._seed * _SEEDS_APART + number, _Explorer(self._tuner, random), remember=True)
+                log.losses = self._tuner.learn(log.steps, random)
+                self.episodes.append(log)
+                self._save()
+                curves.add(log.point())
+                tell(log)
 
     def test(self, episodes: int, tell: Callable[[EpisodeLog], object]) -> list[EpisodeLog]:
         """Return episodes of the policy as it stands, without exploration; the starts are the same for all."""
@@ -143,7 +157,7 @@ class Session:
         over = False
         while not over:
             following, reward, terminated, truncated, info = environment.step(act(seen))
-            log.add(info)
+            log.add(float(reward), info)
             if remember:
                 settings = self._tuner.settings
                 discount = 0.0 if terminated else settings.discount ** (info["duration"] / environment.period)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
+from itertools import chain
 
 import numpy as np
 import torch
@@ -43,6 +44,7 @@ class Agent(nn.Module, ABC):
     def __init__(self, interface: AgentInterface, settings: Settings, seed: int, device: str = "cpu") -> None:
         super().__init__()
         self.settings, self._device, self.updates = settings, torch.device(device), 0
+        self._noted: dict[str, tuple[Tensor, Tensor]] = {}
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.actor = make_actor(interface, settings)
@@ -104,3 +106,20 @@ class Agent(nn.Module, ABC):
     def _step(self, losses: Mapping[str, Tensor]) -> None:
         """Go down losses, by the names of their optimisers, with one backward pass."""
         gradient_step([self.optimizers[name] for name in losses], list(losses.values()))
+        self._note({f"{name}_loss": loss.detach() for name, loss in losses.items()})
+
+    def _note(self, figures: Mapping[str, Tensor]) -> None:
+        """Add figures of an update to the sums that `take_losses` gives the means of."""
+        for name, figure in figures.items():
+            if name not in self._noted:
+                self._noted[name] = (torch.zeros_like(figure), torch.zeros_like(figure))
+            total, count = self._noted[name]  # in place, as a recorded CUDA graph repeats it
+            total.add_(figure)
+            count.add_(1.0)
+
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean losses since the last call by name, and the policy's `entropy` where it has one."""
+        means = {name: float(total / count) for name, (total, count) in self._noted.items() if count}
+        for each in chain.from_iterable(self._noted.values()):
+            each.zero_()
+        return {"loss": means["critic_loss"], **means} if "critic_loss" in means else means

@@ -62,6 +62,10 @@ class ReplayLearner(ABC):
     def _begin(self, random: np.random.Generator) -> tuple[Act | None, Callable[[], None]]:
         """Return how a chunk acts, None for at random, and what updates the networks."""
 
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean losses since the last call, by name."""
+        return {}
+
     def _meet(self, x: NDArray[np.generic]) -> None:  # noqa: B027 - most learners need none
         """Take note of an observation that was met."""
 
@@ -148,6 +152,10 @@ class KoopmanLearner(ReplayLearner):
                 self._agent.learn(self.replay, random, generator, self._mirror)
 
         return lambda x: self._agent.act(x, generator), update
+
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean losses since the last call, by name, and the policy's entropy where it has one."""
+        return self._agent.take_losses()
 
     def candidates(self) -> dict[str, LatentController | NetworkPolicy]:
         """Return the average of the actor, and the actor as it is now."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from ctrl_rl_learning.sb3.checkpoint import model_arrays, restore_model
+from ctrl_rl_learning.sb3.losses import entropy_of, listen
 from ctrl_rl_learning.torch.learner_state import Arrays
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
@@ -51,6 +52,7 @@ class SacLearner:
             seed=seed,
             device=device,
         )
+        self._logger = listen(self._model)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:  # noqa: ARG002 - it counts
         """Act and learn for one chunk; return actions done and episodes begun."""
@@ -60,6 +62,10 @@ class SacLearner:
         counter, before = _Counter(episodes), model.num_timesteps
         model.learn(actions, callback=counter, reset_num_timesteps=False)
         return model.num_timesteps - before, counter.begun
+
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean losses since the last call, by name, and the policy's entropy."""
+        return self._logger.take() | entropy_of(self._model)
 
     def candidates(self) -> dict[str, NetworkPolicy]:
         """Return the actor as it is now."""

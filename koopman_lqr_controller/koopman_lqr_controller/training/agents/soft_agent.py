@@ -193,6 +193,7 @@ class SoftAgent(Agent):
         state = z.detach() if self._sees_latent else self.actor.encoder.normalise(x)
         value = self.critic(state, u).amin(dim=0)
         self.critic.requires_grad_(True)
+        self._note({"entropy": -log_density.detach().mean()})
         entropy_gap = (log_density.detach() + self._target_entropy).mean()
         return {
             "actor": (self.log_temperature.exp().detach() * log_density - value).mean(),

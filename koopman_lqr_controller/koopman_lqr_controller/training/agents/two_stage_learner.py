@@ -85,6 +85,7 @@ class TwoStageLearner(ReplayLearner):
         parameters = [*self._model.encoder.parameters(), self._model.linear.A, self._model.linear.B]
         self._optimizer = torch.optim.Adam(parameters, lr=problem.settings.learning_rate)
         self._modules, self._optimizers = {"model": self._model}, {"optimizer": self._optimizer}
+        self._losses: list[Tensor] = []
 
     def _begin(self, random: np.random.Generator) -> tuple[None, Callable[[], None]]:
         def update() -> None:
@@ -98,6 +99,12 @@ class TwoStageLearner(ReplayLearner):
         model = self._model
         loss = model.linear.model_loss(model.lift(x), u, model.lift(x_next))
         gradient_step(self._optimizer, loss)
+        self._losses.append(loss.detach())
+
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean loss of the model since the last call; nothing where it is fitted at once."""
+        losses, self._losses = self._losses, []
+        return {"loss": float(torch.stack(losses).mean())} if losses else {}
 
     def candidates(self) -> dict[str, LatentController]:
         """Return the LQR of the least-squares model; where that has none, of one whose modes all fade."""

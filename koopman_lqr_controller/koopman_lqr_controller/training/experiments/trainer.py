@@ -69,6 +69,9 @@ class Learner(Protocol):
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
         """Act and learn for one chunk, as `ReplayLearner.learn` does; return actions done and episodes begun."""
 
+    def take_losses(self) -> dict[str, float]:
+        """Return the mean losses since the last call, by name, and the policy's entropy where it has one."""
+
     def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
         """Return what may be deployed now, by name; the first is the last policy that is kept, and curves show it."""
 
@@ -118,8 +121,8 @@ class KoopmanLearning:
 
         Returns:
             `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
-            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, and `evaluated`, the
-            episodes and actions that these figures took.
+            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, `evaluated`, the
+            episodes and actions that these figures took, and `losses`.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
         problem = self._problem
@@ -137,6 +140,7 @@ class KoopmanLearning:
             "best": self._best["return"],
             "best_actions": self._best["actions"],
             "evaluated": count_interaction(evaluated),
+            "losses": self._learner.take_losses(),
         }
 
     def _evaluate(self, actions: int) -> tuple[dict[str, float], dict[str, float], list[Episode]]:
