@@ -28,9 +28,9 @@ COUNT = 2 * len(FAMILIES)
 ALL = 200
 MISSES = {
     "turning": "without a control the blur of interpolation reaches orbits that pass the target by",
-    "zermelo": "129 headings are too few in three dimensions, which the certificate says",
+    "zermelo": "one state beside the edge of what a strong current lets the boat reach",
     "stream": "a few states beside a vortex's separatrix",
-    "boat": "in a game in space a control that is much slower than others is cut short, and may never move a cell",
+    "boat": "an axis a hundred times slower than another loses half of a cell of its own, and a sliver of 33 states",
     "bent": "turns that are few cells apart",
     "product": "four axes of some 20 nodes, where a switch within a cell is several per cent of the way",
 }

@@ -84,7 +84,8 @@ class VelocityHulls:
             accuracy: Part of a front's speed that may be missing.
             most: Number of controls in all.
         """
-        found, more = self._supports(controls), []
+        found = self._supports(controls)
+        more: list[Array] = []
         while len(controls) + len(more) < most:
             missing = (self._true.largest - found) / self._speeds
             worst = np.unravel_index(int(np.argmax(missing)), missing.shape)

@@ -17,6 +17,7 @@ from ctrl_rl_core import System
 
 Array = NDArray[np.float64]
 
+_ROOM_OF_DISTURBANCE = 0.5  # of a step's length: what disturbances may change at its end, where the others wait
 _BENT = 0.5  # cells: largest effect of the second stage's correction in a Runge-Kutta step that is trusted
 _HALVINGS = 40  # at most; the duration of a step that is still not smooth then is set to 0
 _SPEED_UP = 4.0  # largest factor by which the correction of a duration prolongs a step
@@ -101,6 +102,7 @@ def move_cells(
     room: Room,
     cells: float,
     patience: float | None = None,
+    controls: int = 1,
 ) -> Motion:
     """Return the paths of states until they have moved `cells` along the axis on which they are fastest, or to a limit.
 
@@ -114,7 +116,9 @@ def move_cells(
         spacings: Spacing of each axis (n,), in its unit.
         room: Distances to the limits.
         cells: Length of the steps [cells].
-        patience: Multiple of the duration of the fastest pair at a state after which the others end as well.
+        patience: Multiple of the duration of the fastest pair at a state after which the others end as well, unless
+            the disturbances could not do much more by then.
+        controls: Number of controls, the faster index of the pairs.
     """
     first = _rates(system, x, pairs, spacings)
     fastest = _over_axes(np.maximum, np.abs(first))
@@ -122,7 +126,12 @@ def move_cells(
     h = np.where(moving, cells / np.where(moving, fastest, 1.0), 0.0)
     longest = np.full((len(x), 1), np.inf)
     if patience is not None:
-        longest = patience * cells / np.where(moving, fastest, 1e-300).max(axis=1, keepdims=True)
+        # Who knows for how long the other one holds on gains by it: as much as the other could do in that time.
+        finite = np.where(moving[..., None], first, 0.0).reshape(len(x), -1, controls, first.shape[-1])
+        spread = np.ptp(finite, axis=1).max(axis=(-2, -1))[:, None]
+        quickest = np.where(moving, fastest, 0.0).max(axis=1, keepdims=True)
+        with np.errstate(divide="ignore"):
+            longest = cells * np.maximum(patience / quickest, _ROOM_OF_DISTURBANCE / spread)
         h = np.minimum(h, longest)
     # The rate half way tells the duration well enough to begin with.
     half = _rates(system, x + (0.5 * h[..., None] * spacings) * first, pairs, spacings)

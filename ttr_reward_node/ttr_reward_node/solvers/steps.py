@@ -218,7 +218,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
         x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
         room = _room(problem, layout, x)
         for i, length in enumerate(cells):
-            motion = move_cells(problem.system, x, held, spacings, room, length, patience)
+            motion = move_cells(problem.system, x, held, spacings, room, length, patience, shape[-1])
             low, high = motion.hull()
             h = np.where(_leaves(problem, layout, x, motion, (low, high)), 0.0, motion.durations)
             per = (len(x), disturbances, shape[-1])

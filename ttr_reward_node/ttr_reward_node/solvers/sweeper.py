@@ -36,6 +36,9 @@ class Sweeper(Protocol):
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         """Forget what has settled, because the next sweeps have other settings; leave `lost` nodes as they are."""
 
+    def rescale(self, power: float) -> None:
+        """Multiply the rate of the transform: raise w at the nodes, and all that a step makes of w, to a power."""
+
 
 def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) -> Sweeper:
     """Return the sweeper for a layout: where no axis is an inner one, no two nodes share their steps."""
@@ -53,7 +56,25 @@ def _has_short_rows(layout: Layout) -> bool:
     return flat_ and len(layout.outer) > 1 and int(layout.counts[-1]) <= _SHORT
 
 
-class _RowSweeper:
+class _Rescaled:
+    """What the sweepers share: the nodes, and the steps between them."""
+
+    _nodes: Nodes
+    _table: StepTable
+    values: NDArray[np.float32]
+
+    def rescale(self, power: float) -> None:
+        for w in (self.values, self._table.discounts):
+            w[:] **= np.float32(power)
+        raise_hits(self._nodes.outcomes, power)
+
+
+def raise_hits(outcomes: NDArray[np.float32], power: float) -> None:
+    """Raise the discounts among outcomes, which are above 0, to a power."""
+    np.power(outcomes, np.float32(power), out=outcomes, where=outcomes > 0.0)
+
+
+class _RowSweeper(_Rescaled):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
@@ -86,7 +107,7 @@ class _RowSweeper:
             self._nodes.flags[lost] |= LOST
 
 
-class _SlabSweeper:
+class _SlabSweeper(_Rescaled):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
@@ -125,7 +146,7 @@ class _SlabSweeper:
         self._history.open[:] = closed.shape[1] - np.count_nonzero(closed, axis=1)
 
 
-class _NodeSweeper:
+class _NodeSweeper(_Rescaled):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)

@@ -15,6 +15,7 @@ from ttr_reward_node.kernels.sweep import SweepSettings
 from ttr_reward_node.kernels.warp_interpolation import Rule, Table
 from ttr_reward_node.kernels.warp_sweep import sweep_kernels
 from ttr_reward_node.solvers.near_nodes import NearNodes
+from ttr_reward_node.solvers.sweeper import raise_hits
 
 # Updates of each node in a sweep: the first tries all pairs, the others the best of these alone, as policy iteration
 # does, at a fraction of the cost. What is new goes one step further in each.
@@ -43,12 +44,12 @@ class WarpSweeper:
         self._flags, self._host_flags = self._put(near.flags), near.flags
         # A node cannot be near and lost before the first phase is over: this is the order of `near.outcomes`.
         self._near = self._put(np.flatnonzero(near.flags == NEAR).astype(np.int32))
-        self._outcomes = self._put(near.outcomes)
+        self._outcomes, self._host_outcomes = self._put(near.outcomes), near.outcomes
         self._table, self._shape = Table(), self._kernels.shape()
         self._table.codes, self._table.ends = self._put(table.codes), self._put(table.ends)
         self._table.ranges = self._put(table.ranges if self._rows else np.zeros((1, 1, 1, 2), np.int8))
         self._table.is_long = self._put(table.long.astype(np.uint8))
-        self._table.discounts = self._put(table.discounts)
+        self._table.discounts, self._host_discounts = self._put(table.discounts), table.discounts
         self._controls, self._game = table.controls, table.controls < table.codes.shape[1]
         self._choices = wp.zeros(near.values.size, dtype=wp.uint16, device=device)
         for name in ("counts", "strides", "periodic"):
@@ -88,6 +89,13 @@ class WarpSweeper:
         if lost is not None:
             self._host_flags[lost] |= LOST
             self._flags = self._put(self._host_flags)
+
+    def rescale(self, power: float) -> None:
+        """Multiply the rate of the transform, on the host: it happens twice at most."""
+        self.values[:] **= np.float32(power)
+        self._host_discounts **= np.float32(power)
+        raise_hits(self._host_outcomes, power)
+        self._table.discounts, self._outcomes = self._put(self._host_discounts), self._put(self._host_outcomes)
 
     def _rule(self, settings: SweepSettings) -> Any:
         rule = Rule()
