@@ -23,30 +23,32 @@ import numpy as np
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.node import SENSOR
 from ctrl_rl_core.ros.running import run_node
-from ctrl_rl_core.driving.velocity_node import VELOCITY_PARAMETERS, VelocityError, VelocityNode
+from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, VelocityError
+from ctrl_rl_core.driving.driver_node import RobotNode
 from nav_msgs.msg import Odometry
 
 
-class Echo(VelocityNode):
+class Echo(RobotNode):
     """Commands what odometry says."""
 
     PARAMETERS = (*VELOCITY_PARAMETERS, Parameter("scan_timeout", 0.3, "Age [s].", 0.05, 10.0))
 
     def __init__(self):
-        super().__init__("echo", needs=("odometry",))
-        self.set_limits((-0.1, -1.0), (0.2, 1.0))
+        super().__init__("echo")
+        self.robot = Commander(self, needs=("odometry",))
+        self.robot.set_limits((-0.1, -1.0), (0.2, 1.0))
         self.create_subscription(Odometry, "odom", self.on_odometry, SENSOR)
 
     def on_odometry(self, message):
-        self.note_input("odometry")
-        self.use_frame(message.child_frame_id)
+        self.robot.note_input("odometry")
+        self.robot.use_frame(message.child_frame_id)
         twist = message.twist.twist
         if twist.linear.y:
             raise ZeroDivisionError("a callback's own mistake")
         try:
-            self.drive(np.array((twist.linear.x, twist.angular.z)), message.header.stamp)
+            self.robot.drive(np.array((twist.linear.x, twist.angular.z)), message.header.stamp)
         except VelocityError as error:
-            self.halt(str(error), message.header.stamp)
+            self.robot.halt(str(error), message.header.stamp)
 
 
 sys.exit(run_node(Echo))

@@ -12,25 +12,22 @@ import pytest
 import rclpy
 import yaml
 from commands import command, start
-from ctrl_rl_core.policies.policy import load_policy
-from ctrl_rl_core.ros.node import to_stamp
-from ctrl_rl_core.ros.running import initialise
+from ctrl_rl_core.ros import initialise, to_stamp
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.data.values import _solvable
 from ctrl_rl_learning.on_robot.environment.rewards import StepReward
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
 from ctrl_rl_learning.on_robot.learning.policy import read_policy
-from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, RobotNode
+from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, LearningNode
 from ctrl_rl_learning.on_robot.nodes.ros_robot import OperatorStarts, Ros, RosRobot, SimulatorStarts
 from ctrl_rl_learning.on_robot.nodes.stepped_robot import SteppedRobot
-from ctrl_rl_safety.trials.episodes import CAR
+from ctrl_rl_safety.trials import CAR
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import LaserScan
 from std_srvs.srv import SetBool, Trigger
-from ttr_reward_node.rewards.progress import TimeToReach
 
-from ctrl_rl_core import COMMAND, Actor, ScanGeometry, load_navigation_task, task_digest, task_file
-from ttr_reward_node import load_value, problem_from_task, solve
+from ctrl_rl_core import COMMAND, Actor, ScanGeometry, load_navigation_task, load_policy, task_digest, task_file
+from ttr_reward_node import TimeToReach, load_value, problem_from_task, solve
 
 ARGUMENTS = ["--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}"]
 OPEN = ("-p", "lidar_x:=0.0", "-p", "min_echo_share:=0.0", "-p", "largest_gap:=6.3")
@@ -78,7 +75,7 @@ class Stand:
         initialise(["test", *ARGUMENTS, *OPEN, "-p", f"use_sim_time:={str(simulated).lower()}"])
         self.task = load_navigation_task(str(folder / "car_navigation.yaml"))
         _, self.interface = read_policy("car_navigation", motion=True)
-        self.ros = Ros(RobotNode(self.interface), 60.0)
+        self.ros = Ros(LearningNode(self.interface), 60.0)
         self.operator = self.ros.node.create_publisher(TwistStamped, "cmd_vel_operator", COMMAND)
         (value,) = folder.glob("*.safetensors")
         self.robot = kind(self.ros, SimulatorStarts(self.ros))
@@ -104,7 +101,7 @@ def stand(folder: Path) -> Iterator[Callable[..., Stand]]:
 def test_a_scan_from_the_future_blinds_nobody_and_what_is_kept_must_be_fresh() -> None:
     initialise(["test", *ARGUMENTS, *OPEN])
     _, interface = read_policy("car_navigation", motion=True)
-    node = RobotNode(interface)
+    node = LearningNode(interface)
     try:
 
         def scan(ahead: float) -> float:
@@ -112,7 +109,7 @@ def test_a_scan_from_the_future_blinds_nobody_and_what_is_kept_must_be_fresh() -
             now = node.get_clock().now().nanoseconds
             message = LaserScan(angle_increment=2.0 * np.pi / 180, range_min=0.1, range_max=5.0, ranges=[1.0] * 180)
             message.header.stamp = to_stamp(now + round(ahead * 1e9))
-            node._on_scan(message)
+            node.robot.hear_scan(message)
             return node.stamp - 1e-9 * now
 
         assert scan(0.0) == pytest.approx(0.0, abs=0.01)
@@ -154,7 +151,7 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
     message = TwistStamped()
     message.twist.linear.x, message.twist.angular.z = -0.4, 0.25
     it.operator.publish(message)
-    it.ros.until(lambda: it.ros.node.operator.command(it.ros.node.now()) is not None, "no operator")
+    it.ros.until(lambda: it.ros.node.operator.command(it.ros.node.robot.now()) is not None, "no operator")
     *_, info = it.environment.step(forward)
     assert info["operator"] == pytest.approx(1.0)
     assert info["action"] == pytest.approx(((-0.4 + 0.8) / 1.4 - 1.0, 0.5), abs=1e-5)
@@ -164,13 +161,13 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
 
     node, now = it.ros.node, it.robot.now()
     time.sleep(node.settings["wall_timeout"] + 0.1)  # held up: all inputs are too old, and the clock stands
-    assert "no recent" in node.input_fault()
+    assert "no recent" in node.robot.input_fault()
     assert it.robot.read().age < 0.11
     assert it.robot.now() == pytest.approx(now + 0.1)
     now = it.robot.now()
     kept = node.reading(now).sensors
     node.begin_step(now)
-    node.on_scan(LaserScan(), np.ones(3, np.float32), ScanGeometry(3, 0.0, 0.1, 0.1, 8.0))
+    node.robot.on_scan(LaserScan(), np.ones(3, np.float32), ScanGeometry(3, 0.0, 0.1, 0.1, 8.0))
     reading = node.reading(now)
     assert reading.late_scans == 1, "a scan out of order is counted"
     assert reading.sensors.ranges is kept.ranges, "and left out"
@@ -269,6 +266,6 @@ def test_commands_that_would_pass_the_filter_by_are_refused() -> None:
     _, interface = read_policy("car_navigation", motion=False)
     try:
         with pytest.raises(LearningError, match="past the safety filter"):
-            RobotNode(interface)
+            LearningNode(interface)
     finally:
         rclpy.try_shutdown()

@@ -1,7 +1,7 @@
 """Drives a short, slow, bounded pattern, and notes when it commanded what.
 
 The pattern turns by 0.8 rad to both sides, drives 0.16 m ahead and back, and at the end lets commands stop coming
-during a turn on the spot. It needs a metre of free space, or wheels in the air. `LidarVelocityNode` stops it before
+during a turn on the spot. It needs a metre of free space, or wheels in the air. `LidarRobot` stops it before
 obstacles and on unusable scans, and sends the last zero.
 """
 
@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_velocity_node import LIDAR_PARAMETERS, LidarVelocityNode
-from ctrl_rl_core.driving.velocity_node import VelocityError
-from ctrl_rl_core.ros.parameters import Parameter
 from rclpy.executors import Executor
 
 from ctrl_rl_bringup.preflight.finding import Limits
+from ctrl_rl_core import LIDAR_PARAMETERS, LidarRobot, Parameter, RobotNode, VelocityError
 
 SPEED, TURN_RATE = 0.08, 0.5
 """Speed [m/s] and turn rate [rad/s] of the pattern."""
@@ -82,7 +80,7 @@ class Part:
     stopped: str = ""
 
 
-class Mover(LidarVelocityNode):
+class Mover(RobotNode):
     """Sends the pattern's commands; its parameters are those of every node that drives by lidar."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -90,19 +88,22 @@ class Mover(LidarVelocityNode):
         Parameter("scan_timeout", 1.0, "Age of scan or odometry that stops the robot [s].", 0.05, 10.0),
     )
 
+    robot: LidarRobot
+
     def __init__(self) -> None:
         super().__init__("preflight_mover")
-        self.set_limits((-SPEED, -TURN_RATE), (SPEED, TURN_RATE))
+        self.robot = LidarRobot(self)
+        self.robot.set_limits((-SPEED, -TURN_RATE), (SPEED, TURN_RATE))
 
     def send(self, phase: Phase) -> str:
         """Send a phase's command and return why less of it was sent; empty where all was."""
         command = np.array((phase.v, phase.omega))
         try:
-            sent = self.drive(command)
+            sent = self.robot.drive(command)
         except VelocityError as error:
-            self.halt(str(error))
+            self.robot.halt(str(error))
             return str(error)
-        return "" if np.array_equal(sent, command) else self.problem
+        return "" if np.array_equal(sent, command) else self.robot.problem
 
 
 def mover_parameters(in_the_air: bool, unstamped: bool, limits: Limits) -> Iterator[str]:
@@ -119,7 +120,7 @@ def run_pattern(mover: Mover, executor: Executor, progress: Callable[[str], None
     """Drive the pattern and return its parts; whatever interrupts it, the last command is zero."""
     parts: list[Part] = []
     begin = time.monotonic()
-    while mover.input_fault() and time.monotonic() < begin + _LOOK_S:
+    while mover.robot.input_fault() and time.monotonic() < begin + _LOOK_S:
         executor.spin_once(timeout_sec=_PERIOD_S)
     try:
         for phase in PATTERN:

@@ -6,14 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
-from ctrl_rl_core.sensing.odometry import OdometryReader
 from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, ScanView, view_scan
 from ctrl_rl_core.sensing.scan_health import ScanHealth, lidar_identity
 from ctrl_rl_core.sensing.sensors import Sensors
 
 Array = NDArray[np.float64]
-
-_SPEEDS = OdometryReader(("v", "omega"))
 
 
 class DriveSafety:
@@ -70,7 +67,7 @@ class DriveSafety:
 
     def __call__(self, sensors: Sensors, command: Array) -> Array:
         """Return the safe part of a command (2,); zeros where the scan allows no motion in its direction."""
-        v, omega = _SPEEDS(sensors.odometry).tolist()
+        v, omega = sensors.speeds
         if sensors.age == 0.0:
             self.update(sensors.time, round(1e9 * sensors.time), "scan", sensors.ranges, sensors.scan, (v, omega))
         try:

@@ -115,7 +115,15 @@ class PoseInput:
         Raises:
             TransformError: The frame is unknown.
         """
-        return (self._source.frame_in_map(frame) @ Transform.planar(*goal.tolist())).pose
+        return (self.frame_in_map(frame) @ Transform.planar(*goal.tolist())).pose
+
+    def frame_in_map(self, frame: str) -> Transform:
+        """Return the pose of some frame in the frame of the robot's poses.
+
+        Raises:
+            TransformError: The frame is unknown.
+        """
+        return self._source.frame_in_map(frame)
 
     def _on_transforms(self, tree: TransformTree, message: Any, fixed: bool) -> None:
         self.refused = tree.update(message, self._now(), fixed) or self.refused

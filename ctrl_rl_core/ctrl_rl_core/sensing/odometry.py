@@ -24,7 +24,8 @@ ODOMETRY_NAMES = (
     *("v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
 )
 """Position [m], quaternion, velocity [m/s] and turn rate [rad/s] in the body's frame."""
-_V, _V_Z, _OMEGA_Y, _OMEGA_Z = 7, 9, 11, 12
+V, _V_Z, _OMEGA_Y, OMEGA_Z = 7, 9, 11, 12
+"""Places of the forward speed, the speed upwards, and the turn rates about two axes."""
 _FASTEST = 1e6
 """No robot is faster [m/s, rad/s]."""
 _COMPONENTS: Mapping[str, Callable[[Sequence[float], float, float], float]] = {
@@ -33,9 +34,9 @@ _COMPONENTS: Mapping[str, Callable[[Sequence[float], float, float], float]] = {
     "z": lambda it, _yaw, _pitch: it[2],
     "theta": lambda _it, yaw, _pitch: yaw,
     "psi": lambda _it, _yaw, pitch: pitch,
-    "v": lambda it, _yaw, _pitch: it[_V],
-    "v_x": lambda it, _yaw, pitch: math.cos(pitch) * it[_V] + math.sin(pitch) * it[_V_Z],
-    "v_z": lambda it, _yaw, pitch: math.cos(pitch) * it[_V_Z] - math.sin(pitch) * it[_V],
+    "v": lambda it, _yaw, _pitch: it[V],
+    "v_x": lambda it, _yaw, pitch: math.cos(pitch) * it[V] + math.sin(pitch) * it[_V_Z],
+    "v_z": lambda it, _yaw, pitch: math.cos(pitch) * it[_V_Z] - math.sin(pitch) * it[V],
 }
 
 
@@ -94,7 +95,7 @@ class OdometryReader:
         if unknown:
             raise OdometryError(f"odometry does not tell '{unknown[0]}': it tells {', '.join(_COMPONENTS)} and omega")
         self._uses_twist = any(name.startswith(("v", "omega")) for name in names)
-        turn = _OMEGA_Y if "psi" in names else _OMEGA_Z
+        turn = _OMEGA_Y if "psi" in names else OMEGA_Z
         self._components = [
             (lambda it, _yaw, _pitch: it[turn]) if name == "omega" else _COMPONENTS[name] for name in names
         ]

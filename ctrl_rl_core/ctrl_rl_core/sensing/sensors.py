@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core.sensing.odometry import OMEGA_Z, V
 from ctrl_rl_core.sensing.scan import ScanGeometry
 
 Array = NDArray[np.float64]
@@ -34,3 +35,8 @@ class Sensors(NamedTuple):
     command: Array
     time: float = 0.0
     age: float = 0.0
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Speed ahead [m/s] and turn rate [rad/s] by odometry, of a robot on wheels."""
+        return float(self.odometry[V]), float(self.odometry[OMEGA_Z])

@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
-from ctrl_rl_core.processes.children import end_with_ros2
-from ctrl_rl_core.processes.signals import interrupt_once
-from ctrl_rl_core.ros.running import initialise
-from ttr_reward_node.rewards.progress import TimeToReach
+from ctrl_rl_core.processes import end_with_ros2, interrupt_once
+from ctrl_rl_core.ros import initialise
 
 from ctrl_rl_core import NavigationTask, PolicyManifest
 from ctrl_rl_learning.offline.data.values import find_time_to_reach
 from ctrl_rl_learning.on_robot.environment.rewards import StepReward
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
-from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, RobotNode
+from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, LearningNode
 from ctrl_rl_learning.on_robot.nodes.ros_robot import OperatorStarts, Ros, RosRobot, SimulatorStarts
 from ctrl_rl_learning.on_robot.nodes.stepped_robot import SteppedRobot
-from ttr_reward_node import load_value
+from ttr_reward_node import TimeToReach, load_value
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ def connect(
     initialise([*arguments, "--ros-args", "-r", f"{NAME}:cmd_vel:={RAW}", *clock])
     end_with_ros2()
     try:
-        with interrupt_once(), closing(Ros(RobotNode(interface))) as ros:
+        with interrupt_once(), closing(Ros(LearningNode(interface))) as ros:
             starts = SimulatorStarts(ros) if how.simulator else OperatorStarts(ros, print)
             robot = SteppedRobot(ros, starts) if how.stepped else RosRobot(ros, starts)
             yield RobotEnv(robot, task, interface, reward)

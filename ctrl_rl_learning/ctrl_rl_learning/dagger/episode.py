@@ -7,14 +7,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.policies import ObservationBuilder
 from numpy.typing import NDArray
 
 from ctrl_rl_core import (
     DriveSafety,
     NavigationTask,
     ObstacleStop,
-    OdometryReader,
     PolicyManifest,
     ScanHealth,
     Sensors,
@@ -34,7 +33,6 @@ _RATE = 60
 """Physics steps per second [Hz]; the planar engine needs no more."""
 _STANDS = 10.0
 """Time without motion after which a drive is over [s]."""
-_SPEEDS = OdometryReader(("v", "omega"))
 _REACTION = 0.3
 """Time from a scan to the effect of its command [s], as of nodes."""
 
@@ -93,7 +91,7 @@ class _Labeller:
 
     def command(self, sensors: Sensors) -> Array:
         seen = self._observe(sensors)
-        wanted = self._expert.command(self._world.pose(), _SPEEDS(sensors.odometry))
+        wanted = self._expert.command(self._world.pose(), np.array(sensors.speeds))
         self.samples.append(LabelledSample(seen, wanted))
         return wanted if self._student is None else self._student(seen)
 

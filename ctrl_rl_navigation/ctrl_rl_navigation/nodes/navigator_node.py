@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import TransformError
-from ctrl_rl_core.ros.node import LATCHED, Status, ok, warn
+from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
+from ctrl_rl_core.policies.pose_input import PoseInput
+from ctrl_rl_core.ros.node import LATCHED, Status, nanoseconds, ok, warn
 from ctrl_rl_core.ros.value_messages import answer
+from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray
@@ -20,23 +24,28 @@ from std_srvs.srv import Trigger
 
 from ctrl_rl_core import (
     CtrlRlError,
-    LidarVelocityNode,
+    LidarRobot,
     OccupancyMap,
     Parameter,
+    RobotNode,
     ScanGeometry,
+    Sensors,
     VelocityError,
     find_robot,
+    make_odometry,
     run_node,
 )
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
-from ctrl_rl_navigation.driving.decision import Decision, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.driving.decision import NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator, warm_up
+from ctrl_rl_navigation.driving.navigator_driver import NavigatorDriver
 from ctrl_rl_navigation.maps import load_map
 from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
 from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
-from ctrl_rl_navigation.nodes.pose_input import SeenPoseInput
 from ctrl_rl_navigation.robot import limits_of
+
+Array = NDArray[np.float64]
 
 _STATUS_PERIOD = 0.5
 _GUARD_GAP = 0.005
@@ -45,9 +54,12 @@ _LAST_ZEROS = 10
 """Zero commands at the end of a drive; then the topic is left to others."""
 _FINE = (NavigatorState.DRIVING, NavigatorState.REACHED, NavigatorState.SOLVING)
 _STAND = np.zeros(2)
+_NOWHERE = Transform.planar(0.0, 0.0, 0.0)
+_NO_SCAN = np.empty(0, np.float32), ScanGeometry(0, 0.0, 1.0, 0.0, 1.0)
+"""What commands are asked with: scans are shown as they come."""
 
 
-class NavigatorNode(LidarVelocityNode):
+class NavigatorNode(RobotNode):
     """Drives a robot to goals on a map by the time to reach them.
 
     Subscribes to map, goal_pose, scan, odom, and /tf or amcl_pose; publishes cmd_vel, path, ~/status and ~/slice, and
@@ -55,6 +67,7 @@ class NavigatorNode(LidarVelocityNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = NAVIGATOR_PARAMETERS
+    robot: LidarRobot
 
     def __init__(self) -> None:
         super().__init__("navigator")
@@ -69,7 +82,9 @@ class NavigatorNode(LidarVelocityNode):
             length=0.0,
             width=0.0,
         )
-        self.set_limits((0.0, -limits.turn_rate), (limits.speed, limits.turn_rate))
+        self.robot = robot = LidarRobot(self)
+        robot.set_limits((0.0, -limits.turn_rate), (limits.speed, limits.turn_rate))
+        robot.on_scan, robot.on_odometry = self._see, self._keep
         self._navigator = Navigator(
             limits,
             NavigatorOptions(
@@ -82,11 +97,12 @@ class NavigatorNode(LidarVelocityNode):
             ),
         )
         warm_up(limits)
-        self._decision = Decision(_STAND, NavigatorState.WAITING, "waiting for a map")
+        self._driver = NavigatorDriver(self._navigator, value["lidar_x"])
+        self._odometry, self._sent = np.zeros(len(ODOMETRY_NAMES)), _STAND
         self._map: OccupancyMap | None = None
         self._zeros = 0
         self._shown: tuple[Any, Any] = (None, None)
-        self._input = SeenPoseInput(self, self.now)
+        self._input = PoseInput(self, robot.timeout, robot.now)
         self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
         self._path = self.create_publisher(Path, "path", LATCHED)
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
@@ -100,25 +116,27 @@ class NavigatorNode(LidarVelocityNode):
         self.create_timer(_STATUS_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: now goals are heard
 
-    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
+    def _keep(self, message: Odometry, odometry: Array) -> None:
         """Keep the pose by odometry."""
-        self._input.on_odometry(message, self.frame)
+        self._odometry = odometry
+        self._input.on_odometry(message, self.robot.frame)
 
-    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep the echoes, and the obstacles among them."""
-        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        if not self._input.on_scan(stamp, ranges, scan, self.settings["lidar_x"]):
-            return
+    def _see(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Show the driver a scan, from where it was taken."""
+        track, pose = self._input.track, None
         try:
-            pose, echoes = self._input.seen(self._input.pose())
-        except TransformError:
-            return
-        self._navigator.see(self.now(), pose, echoes)
+            there = track.at(nanoseconds(message.header.stamp))
+        except TransformError:  # clocks of scan and odometry differ: as if it were of now
+            there = track.latest() if track.heard > -math.inf else _NOWHERE
+        with suppress(TransformError):  # the pose may be known by the next scan
+            pose = (Transform.planar(*self._input.pose().tolist()) @ track.latest().inverse() @ there).pose
+        odometry = make_odometry(there.pose, np.zeros(3))
+        self._driver.see(Sensors(ranges, scan, odometry, pose, None, self._sent, self.robot.now()))
 
     def status(self) -> Status:
         """Return what the navigator does."""
         level, message, figures = super().status()
-        decision = self._decision
+        decision = self._driver.decision
         figures = {
             **figures,
             "state": decision.state.name.lower(),
@@ -127,7 +145,7 @@ class NavigatorNode(LidarVelocityNode):
             "values solved": self._navigator.solves,
             "refused": self._input.refused,
         }
-        if self._rivals or decision.state is NavigatorState.DRIVING:
+        if figures["other publishers"] or decision.state is NavigatorState.DRIVING:
             return level, message, figures
         return (ok if decision.state in _FINE or self._is_idle() else warn)(decision.message, **figures)
 
@@ -151,7 +169,7 @@ class NavigatorNode(LidarVelocityNode):
 
     def _on_goal(self, message: PoseStamped) -> None:
         try:
-            frame = self._input.frame_in_map(message.header.frame_id)
+            frame = self._frame(message.header.frame_id.lstrip("/"))
             goal = goal_from(message, frame, self.settings["goal_heading_tolerance"] < ANY_HEADING)
         except CtrlRlError as error:
             self._input.refused = f"goal: {error}"
@@ -174,54 +192,61 @@ class NavigatorNode(LidarVelocityNode):
         answer(value, request, response)
         return response
 
+    def _frame(self, name: str) -> Transform:
+        """Return the pose of a frame in the map's; an empty name is that of the map.
+
+        Raises:
+            TransformError: The frame is unknown.
+        """
+        return _NOWHERE if name in ("", self.settings["map_frame"]) else self._input.frame_in_map(name)
+
     def _tick(self) -> None:
         """Decide, send, and say what has changed."""
-        before = self._decision
-        self._decision = self._decide()
-        if (before.state, _words(before.message)) != (self._decision.state, _words(self._decision.message)):
-            self.get_logger().info(self._decision.message)
+        before = self._driver.decision
+        self._drive()
+        decision = self._driver.decision
+        if (before.state, _words(before.message)) != (decision.state, _words(decision.message)):
+            self.get_logger().info(decision.message)
             self._tell()
         self._show()
 
-    def _decide(self) -> Decision:
-        """Return the decision that was carried out."""
-        problem = self.input_fault()
+    def _drive(self) -> None:
+        """Send the driver's command, or stop where an input is missing."""
+        robot, driver, problem, pose = self.robot, self._driver, self.robot.input_fault(), None
         try:
             pose = self._input.pose()
         except TransformError as error:
             problem = problem or str(error)
         if problem:
-            self._navigator.poll(self.now())
-            self._navigator.sent(_STAND)
+            self._sent = driver.wait(robot.now(), problem)
             if self._navigator.goal is not None and not self._is_idle():
-                self.halt(problem)
-            return Decision(_STAND, NavigatorState.WAITING, problem)
-        decision = self._navigator.decide(self.now(), pose, self._input.echoes())
-        self._zeros = 0 if decision.command.any() or decision.state is NavigatorState.DRIVING else self._zeros + 1
-        if self._zeros > _LAST_ZEROS and not self.moving:
-            self.problem = ""
-            return decision
+                robot.halt(problem)
+            return
+        command = driver.command(Sensors(*_NO_SCAN, self._odometry, pose, None, self._sent, robot.now(), math.inf))
+        driving = driver.decision.state is NavigatorState.DRIVING
+        self._zeros = 0 if command.any() or driving else self._zeros + 1
+        if self._zeros > _LAST_ZEROS and not robot.moving:
+            robot.problem = ""
+            return
         try:
-            self._navigator.sent(self.drive(decision.command))
+            self._sent = robot.drive(command)
         except VelocityError as error:
-            self.halt(str(error))
-            self._navigator.sent(_STAND)
-            return Decision(_STAND, NavigatorState.WAITING, str(error), decision.remaining_time)
-        return decision
+            robot.halt(str(error))
+            self._sent = driver.wait(robot.now(), str(error), driver.decision.remaining_time)
 
     def _is_idle(self) -> bool:
         return self._zeros > _LAST_ZEROS
 
     def _report(self) -> None:
         """Publish the status; where a simulated clock stands still, nobody else decides that the robot must stand."""
-        if self.stale_input():
+        if self.robot.stale_input():
             self._tick()
         self._tell()
 
     def _tell(self) -> None:
         """Publish the status."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.settings["map_frame"])
-        self._told.publish(status_message(self._navigator, self._decision, header))
+        self._told.publish(status_message(self._navigator, self._driver.decision, header))
 
     def _show(self) -> None:
         """Publish path and value where they have changed."""

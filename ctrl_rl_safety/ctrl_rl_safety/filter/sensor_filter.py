@@ -9,14 +9,13 @@ from ctrl_rl_core.sensing.pose import planar
 from ctrl_rl_core.sensing.scan import view_scan
 from numpy.typing import NDArray
 
-from ctrl_rl_core import OdometryReader, Sensors
+from ctrl_rl_core import Sensors
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading, Verdict
 
 Array = NDArray[np.float64]
 
-_SPEEDS = OdometryReader(("v", "omega"))
 _ROUNDING_S = 1e-6
 
 
@@ -53,7 +52,8 @@ class SensorFilter:
         safety, now = self._safety, sensors.time
         pose = planar(sensors.odometry[:7].tolist())
         if sensors.age == 0.0:
-            points = view_scan(sensors.ranges, sensors.scan, safety.reach, self._lidar_x).points
+            reach = safety.reach + abs(self._lidar_x)
+            points = view_scan(sensors.ranges, sensors.scan, reach, self._lidar_x).points
             fixed = None
             if self._walls is not None and sensors.pose is not None:
                 fixed = self._walls.fixed(sensors.pose, pose)
@@ -61,7 +61,7 @@ class SensorFilter:
             if self._set_period < math.inf and now - self._solved_at >= self._set_period - _ROUNDING_S:
                 self._solved_at = now
                 safety.use(safety.solve())
-        verdict = safety.decide(now, Reading(pose, *_SPEEDS(sensors.odometry).tolist()), command)
+        verdict = safety.decide(now, Reading(pose, *sensors.speeds), command)
         safety.sent(now, verdict.command)
         self.verdict = verdict
         return verdict.command

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from ctrl_rl_core.driving.lidar_velocity_node import SCAN_PARAMETERS
 from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS
 
-from ctrl_rl_core import Parameter
+from ctrl_rl_core import SCAN_PARAMETERS, Parameter
 from ctrl_rl_safety.filter.verdict import FilterOptions
 
 _DEFAULT = FilterOptions()

@@ -20,7 +20,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import LaserScan
 from visualization_msgs.msg import Marker
 
-from ctrl_rl_core import LidarVelocityNode, ObstacleStop, Parameter, ScanGeometry, VelocityError, run_node
+from ctrl_rl_core import LidarRobot, Parameter, RobotNode, ScanGeometry, VelocityError, run_node
 from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
@@ -34,6 +34,8 @@ from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
 from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
 from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
 
+Array = NDArray[np.float64]
+
 INPUT = "cmd_vel_raw"
 _JITTER = 1.5
 """Time between two commands over the period that is asked for, on a busy computer."""
@@ -44,7 +46,7 @@ _RECENT = 1000
 _STAND = np.zeros(2)
 
 
-class SafetyFilterNode(LidarVelocityNode):
+class SafetyFilterNode(RobotNode):
     """Lets velocity commands through as far as the robot can still stop without contact, and changes them else.
 
     Subscribes to cmd_vel_raw, scan and odom, and with use_map to map and the pose on it; publishes cmd_vel, ~/status,
@@ -52,7 +54,7 @@ class SafetyFilterNode(LidarVelocityNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = FILTER_PARAMETERS
-    _filter: SafetyFilter | None = None
+    robot: LidarRobot
 
     def __init__(self) -> None:
         super().__init__("safety_filter")
@@ -72,11 +74,15 @@ class SafetyFilterNode(LidarVelocityNode):
         )
         warm_up(model, options)
         self._filter = SafetyFilter(model, options)
+        self.robot = robot = LidarRobot(self, reach=self._filter.reach + abs(value["lidar_x"]))
+        robot.set_limits(*model.limits)
+        robot.on_scan, robot.on_odometry, robot.on_halt = self._see, self._keep, self._on_halt
+        robot.limit, robot.stopping = self._limit, lambda: self._filter.stopping(robot.now())
+        robot.fault = lambda: next((each for each in self._faults_of.values() if each), "")
         # The clock of a fast simulation may arrive later than the scan that was taken then.
-        self._ahead = self.timeout if self.get_parameter("use_sim_time").value else AHEAD
-        self._odometry = OdometryInput(max(model.speed, model.reverse_speed), self.timeout, self._ahead)
-        self.set_limits(*model.limits)
-        self._map = MapInput(self, self.timeout, self.now) if value["use_map"] else None
+        self._ahead = robot.timeout if self.get_parameter("use_sim_time").value else AHEAD
+        self._odometry = OdometryInput(max(model.speed, model.reverse_speed), robot.timeout, self._ahead)
+        self._map = MapInput(self, robot.timeout, robot.now) if value["use_map"] else None
         self._faults_of = {"odometry": "", "scan": "", "raw command": ""}
         self._raw, self._raw_at, self._raw_stamp = _STAND, -math.inf, 0
         self._answered_at, self._last_mode = -math.inf, Mode.PASSED
@@ -92,49 +98,28 @@ class SafetyFilterNode(LidarVelocityNode):
         self._stamped: bool = value["enable_stamped_cmd_vel"]
         kind = TwistStamped if self._stamped else Twist
         self._kind = f"geometry_msgs/msg/{kind.__name__}"
-        self._timer = self.create_timer(value["control_period"], self._tick, clock=self._ages)
+        self._timer = self.create_timer(value["control_period"], self._tick, clock=robot.clock)
         self.create_timer(_PICTURES_S, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._commands = self.create_subscription(kind, INPUT, self._on_raw, COMMAND)
 
-    def obstacle_stop(self) -> ObstacleStop:
-        """Return no stop: the certificates keep clear of obstacles."""
-        return ObstacleStop(0.0, 0.0, 1.0, 0.0)
-
-    def reach(self) -> float:
-        """Return the distance from the lidar at which an echo may matter [m]."""
-        return 0.0 if self._filter is None else self._filter.reach + abs(self.settings["lidar_x"])
-
-    def input_fault(self) -> str:
-        """Return why the inputs allow no motion; empty where they do."""
-        return super().input_fault() or next((each for each in self._faults_of.values() if each), "")
-
-    def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    def _limit(self, command: Array) -> tuple[Array, str]:
         """Return a command (2,) and why the robot stands where no raw command comes.
 
         Raises:
             VelocityError: The inputs allow no motion.
         """
-        command, problem = super().make_safe(command)
+        command, problem = self.robot.limit_by_scan(command)
         return command, problem or self._silence()
 
-    def stopping(self) -> NDArray[np.float64]:
-        """Return the command of the last certified escape, which brakes and may turn."""
-        return _STAND if self._filter is None else self._filter.stopping(self.now())
+    def _on_halt(self, command: Array, problem: str) -> None:
+        """Note that the robot brakes, and tell the reason."""
+        self._filter.sent(self.robot.now(), command)
+        self._counts["waiting"] += 1
+        self._tell(command, SafetyStatus.WAITING, problem)
 
-    def halt(self, problem: str, stamp: Stamp | None = None) -> None:
-        """Let the robot brake, and tell the reason."""
-        super().halt(problem, stamp)
-        if self._filter is not None:
-            now, command = self.now(), self.stopping()
-            self._filter.sent(now, command)
-            self._counts["waiting"] += 1
-            self._tell(command, SafetyStatus.WAITING, problem)
-
-    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
+    def _keep(self, message: Odometry, _: Array) -> None:
         """Keep pose and speeds; after a jump of the frame nothing is known."""
-        if self._filter is None:
-            return
-        now, clock = self.now(), self.get_clock().now().nanoseconds
+        now, clock = self.robot.now(), self.get_clock().now().nanoseconds
         try:
             jumped = self._odometry.update(message, now, clock)
         except (SafetyError, TransformError) as error:
@@ -144,20 +129,20 @@ class SafetyFilterNode(LidarVelocityNode):
         if jumped:
             self._filter.forget()
         if self._map is not None:
-            self._map.on_odometry(message, self.frame)
+            self._map.on_odometry(message, self.robot.frame)
 
-    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+    def _see(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the echoes, and begin to solve the set of the last scan where none is in work."""
-        view = self._safety.view
-        if self._filter is None or view is None:
+        view = self.robot.safety.view
+        if view is None:
             return
-        now, clock = self.now(), self.get_clock().now().nanoseconds
+        now, clock = self.robot.now(), self.get_clock().now().nanoseconds
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         try:
-            age = age_of("scan", stamp, clock, self.timeout, self._ahead)
+            age = age_of("scan", stamp, clock, self.robot.timeout, self._ahead)
             fixed = None if self._map is None else self._map.fixed(self._odometry.reading(now).pose)
             lidar_x = self.settings["lidar_x"]
-            times = beam_times(view.points, scan, message.time_increment, lidar_x, self.timeout)
+            times = beam_times(view.points, scan, message.time_increment, lidar_x, self.robot.timeout)
             echoes, sight = self._odometry.straightened(view.points, times, stamp), sight_of(ranges, scan, lidar_x)
             self._filter.see(now, self._odometry.pose_at(stamp), echoes, age, fixed, sight)
         except (SafetyError, TransformError) as error:
@@ -191,7 +176,7 @@ class SafetyFilterNode(LidarVelocityNode):
             self._tick()
             return
         self._faults_of["raw command"] = ""
-        now = self.now()
+        now = self.robot.now()
         self._raw, self._raw_at, self._raw_stamp = raw, now, 0
         if isinstance(message, TwistStamped):
             self._raw_stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -202,7 +187,7 @@ class SafetyFilterNode(LidarVelocityNode):
 
     def _silence(self) -> str:
         """Return that no raw command comes; empty where one does."""
-        if abs(self.now() - self._raw_at) <= self.settings["raw_timeout"]:  # a simulated clock may be set back
+        if abs(self.robot.now() - self._raw_at) <= self.settings["raw_timeout"]:  # a simulated clock may be set back
             return ""
         return f"no recent command on {self._commands.topic_name}"
 
@@ -212,21 +197,20 @@ class SafetyFilterNode(LidarVelocityNode):
 
     def _tick(self, at: float | None = None) -> None:
         """Answer the raw command that is held, at a time on the clock of ages [s]; now unless given."""
-        begin, now = time.perf_counter(), self.now() if at is None else at
+        begin, now = time.perf_counter(), self.robot.now() if at is None else at
         self._take_set()
-        assert self._filter is not None  # the timer begins after it
-        problem = self.input_fault()
+        problem = self.robot.input_fault()
         if not problem and self._filter.obstacles is None:
             problem = "waiting for a scan"
         if problem:
-            self.halt(problem)
+            self.robot.halt(problem)
             return
         raw = _STAND if self._silence() else self._raw
         verdict = self._filter.decide(now, self._odometry.reading(now), raw)
         try:
-            sent = self.drive(verdict.command, self._stamp(now))
+            sent = self.robot.drive(verdict.command, self._stamp(now))
         except VelocityError as error:
-            self.halt(str(error))
+            self.robot.halt(str(error))
             return
         self._filter.sent(now, sent)
         self._decisions.append(time.perf_counter() - begin)
@@ -236,19 +220,19 @@ class SafetyFilterNode(LidarVelocityNode):
         self._last_mode = verdict.mode
         self._tell(sent, int(verdict.mode), self._silence() or WHY[verdict.mode], verdict)
 
-    def _tell(self, sent: NDArray[np.float64], mode: int, why: str, verdict: Verdict | None = None) -> None:
+    def _tell(self, sent: Array, mode: int, why: str, verdict: Verdict | None = None) -> None:
         out = SafetyStatus(mode=mode, why=why, margin=math.nan, value=math.nan)
         out.header.stamp, out.header.frame_id = self.get_clock().now().to_msg(), self._odometry.frame
         out.raw_speed, out.raw_turn_rate = self._raw.tolist()
         out.speed, out.turn_rate = sent.tolist()
-        out.scan_age = self.age("scan")
+        out.scan_age = self.robot.age("scan")
         if verdict is not None:
             out.margin, out.value = verdict.margin, verdict.value
         self._told.publish(out)
 
     def _solve(self) -> None:
         """Begin to solve the set of the last scan in a thread, unless one is in work."""
-        if self._job is None and self._filter is not None and self._filter.obstacles is not self._solved_for:
+        if self._job is None and self._filter.obstacles is not self._solved_for:
             self._solved_for = self._filter.obstacles
             solve, begin = self._filter.solve, time.perf_counter()
 
@@ -267,7 +251,7 @@ class SafetyFilterNode(LidarVelocityNode):
         self._job = None
         if job.error is not None:
             raise job.error
-        if self._filter is not None and self._filter.obstacles is not None:
+        if self._filter.obstacles is not None:
             self._filter.use(job.result)
             self._counts["sets"] += 1
         self._solve()
@@ -275,7 +259,7 @@ class SafetyFilterNode(LidarVelocityNode):
     def _show(self) -> None:
         """Publish the pictures."""
         verdict, safety = self._verdict, self._filter
-        if verdict is None or safety is None:
+        if verdict is None:
             return
         stamp, frame = self.get_clock().now().to_msg(), self._odometry.frame
         found, state = safety.recoverable, verdict.state

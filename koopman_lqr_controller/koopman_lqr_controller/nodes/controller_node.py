@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.driving.episode_driver import MAX_DISTANCE, EpisodeDriver
-from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, PendingDecision, SensorReading
-from ctrl_rl_core.ros.node import Status, seconds
+from ctrl_rl_core.ros.node import seconds
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from ctrl_rl_core import RESULT, Parameter, ScanGeometry, run_node
+from ctrl_rl_core import (
+    DRIVER_PARAMETERS,
+    MAX_DISTANCE,
+    RESULT,
+    DriverNode,
+    NodeDriver,
+    Parameter,
+    ScanGeometry,
+    Sensors,
+    run_node,
+)
 from ctrl_rl_msgs.msg import LatentState
+from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.koopman_policy import Decision
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, KoopmanPolicy, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
@@ -44,7 +54,125 @@ class _LatentDetails(NamedTuple):
     measured: tuple[float, float]
 
 
-class Controller(EpisodeDriver):
+class LatentDriver(NodeDriver):
+    """Drives by a Koopman policy, stops outside what its training saw, and publishes how each command came about."""
+
+    def __init__(self, node: DriverNode) -> None:
+        """Read the policy that the node's parameter names."""
+        self._node, self._settings = node, node.settings
+        self._latent = node.create_publisher(LatentState, "~/latent", RESULT)
+        self._policy: KoopmanPolicy
+        self._next: NDArray[np.float64] | None = None
+        self._next_since = math.nan
+        self._details: _LatentDetails | None = None
+        self._load(self._settings["policy"])
+
+    def command(self, sensors: Sensors) -> NDArray[np.float64]:
+        """Return the policy's command.
+
+        Raises:
+            KoopmanError: There is none, or the latent is not as in training.
+        """
+        now, predicted, error = sensors.time, None, math.nan
+        v, omega = sensors.speeds
+        decision = self._policy.decide(sensors.ranges, sensors.scan, v, omega)
+        if self._next is not None and self._in_step(now - self._next_since):
+            predicted = self._next
+            missed = decision.z - predicted
+            error = math.sqrt(missed.dot(missed))
+        stop = self._guard.update(now, decision.z, error)
+        self._details = _LatentDetails(decision, predicted, error, self._guard.distance, (v, omega))
+        if stop:
+            raise KoopmanError(stop)
+        return self._guard.speed_scale * decision.command
+
+    def on_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
+        """Publish how the command came about, and predict the latent that follows from it."""
+        dry, nan, details = self._settings["dry_run"], math.nan, self._details
+        out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
+        out.command = _doubles(command)
+        self._next = self._details = None  # without a decision there is nothing to predict from
+        if details is None:
+            out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
+        else:
+            z = details.decision.z
+            out.z, out.control = _doubles(z), _doubles(details.decision.control)
+            out.cost_to_go, out.distance = self._policy.cost_to_go(z), details.distance
+            if details.predicted is not None:
+                out.z_predicted, out.prediction_error = _doubles(details.predicted), details.error
+            # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
+            self._next = self._policy.predict(z, np.array(details.measured) if dry else command)
+            self._next_since = seconds(header.stamp)
+        self._latent.publish(out)
+
+    def use_parameter(self, name: str) -> None:
+        """Apply a parameter; a new policy drives from the next scan on.
+
+        Raises:
+            KoopmanError: The policy does not serve; the one before goes on.
+        """
+        if name == "policy":
+            self._load(self._settings["policy"])
+        elif name in (*_LIMITS, *_RETRIES):
+            self._set_guard()
+
+    def figures(self) -> Mapping[str, object]:
+        """Return which policy gives the commands, and how far from its training the robot is."""
+        return self._served | {
+            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.distance:.2f}",
+            "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
+            "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
+        }
+
+    def _load(self, name: str) -> None:
+        """Read, try out and take over a policy.
+
+        Raises:
+            KoopmanError: it does not serve; the one before goes on.
+        """
+        path = find_policy(name)
+        policy = load_policy(path)
+        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
+        served: dict[str, object] = {"policy": path.name, "policy digest": digest(path)}
+        # Only what is right in every respect takes the place of what drives.
+        self._guard, self._served, self._next = Guard(policy.distribution, 0.0, 0.0, 0.0), served, None
+        self._set_guard()
+        self._late, self._out_of_step = 0, ""
+        self._policy, self.limits = policy, policy.limits
+        self._node.get_logger().info(
+            f"policy {path.name} ({str(served['policy digest'])[:12]}), {len(policy.z_ref)} observables, "
+            f"{len(policy.sectors.bearings)} sectors"
+        )
+        if policy.distribution is None:
+            self._node.get_logger().warning(
+                f"{path.name} has no region of training: only stale and unusable input stops the robot"
+            )
+
+    def _set_guard(self) -> None:
+        self._guard.set_limits(*(float(self._settings[name]) for name in _LIMITS))
+        self._guard.set_retries(*(self._settings[name] for name in _RETRIES))
+
+    def _in_step(self, elapsed: float) -> bool:
+        """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
+        dt = self._policy.dt
+        if dt is None or abs(elapsed / dt - 1.0) < STEP_TOLERANCE:
+            self._late, self._out_of_step = 0, ""
+            return True
+        self._late += 1
+        if self._late >= _OUT_OF_STEP and not self._out_of_step:
+            self._out_of_step = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
+            self._guard.reset_prediction_alarm()
+            self._node.get_logger().warning(f"prediction error {self._out_of_step}")
+        return False
+
+    def _not_watched(self, limit: str) -> str:
+        """Return why a parameter's limit is of no effect, empty where it is."""
+        if self._policy.distribution is None:
+            return "not watched: the policy's file has no region"
+        return "" if self._settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
+
+
+class Controller(DriverNode):
     """Drives a robot from its lidar with a Koopman-LQR policy.
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
@@ -93,118 +221,7 @@ class Controller(EpisodeDriver):
     )
 
     def __init__(self) -> None:
-        super().__init__("koopman_lqr_controller")
-        self._latent = self.create_publisher(LatentState, "~/latent", RESULT)
-        self._policy: KoopmanPolicy
-        self._next: NDArray[np.float64] | None = None
-        self._next_since = math.nan
-        self._load(self.settings["policy"])
-
-    def on_parameter_changed(self, name: str) -> None:
-        """Apply a parameter; a new policy drives from the next scan on."""
-        if name == "policy":
-            self._load(self.settings["policy"])
-        elif name in (*_LIMITS, *_RETRIES):
-            self._set_guard()
-        else:
-            super().on_parameter_changed(name)
-
-    def status(self) -> Status:
-        """Return whether commands flow, which policy gives them, and how far from its training the robot is."""
-        level, message, figures = super().status()
-        watched = {
-            "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.distance:.2f}",
-            "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
-            "retries": f"{self._guard.retries.used} of {self._guard.retries.most}",
-        }
-        return level, message, {**figures, **self._served, **watched}
-
-    def decide(self, reading: SensorReading) -> PendingDecision:
-        """Return the policy's command, and why the robot must stand where the latent is not as in training.
-
-        Raises:
-            KoopmanError: there is no command.
-            VelocityError: the drive is over.
-        """
-        now, predicted, error = seconds(reading.header.stamp), None, math.nan
-        self.check_drive(now, reading.v)
-        decision = self._policy.decide(reading.ranges, reading.scan, reading.v, reading.omega)
-        if self._next is not None and self._in_step(now - self._next_since):
-            predicted = self._next
-            missed = decision.z - predicted
-            error = math.sqrt(missed.dot(missed))
-        stop = self._guard.update(now, decision.z, error)
-        details = _LatentDetails(decision, predicted, error, self._guard.distance, (reading.v, reading.omega))
-        return PendingDecision(self._guard.speed_scale * decision.command, details, stop)
-
-    def on_command_sent(
-        self, header: Header, command: NDArray[np.float64], problem: str, details: _LatentDetails | None
-    ) -> None:
-        """Publish how the command came about, and predict the latent that follows from it."""
-        dry, nan = self.settings["dry_run"], math.nan
-        out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
-        out.command = _doubles(command)
-        self._next = None  # without a decision there is nothing to predict from
-        if details is None:
-            out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
-        else:
-            z = details.decision.z
-            out.z, out.control = _doubles(z), _doubles(details.decision.control)
-            out.cost_to_go, out.distance = self._policy.cost_to_go(z), details.distance
-            if details.predicted is not None:
-                out.z_predicted, out.prediction_error = _doubles(details.predicted), details.error
-            # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
-            self._next = self._policy.predict(z, np.array(details.measured) if dry else command)
-            self._next_since = seconds(header.stamp)
-        self._latent.publish(out)
-
-    def _load(self, name: str) -> None:
-        """Read, try out and take over a policy.
-
-        Raises:
-            KoopmanError: it does not serve; the one before goes on.
-        """
-        path = find_policy(name)
-        policy = load_policy(path)
-        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
-        served = {"policy": path.name, "policy digest": digest(path)}
-        # Only what is right in every respect takes the place of what drives.
-        self._guard, self._served, self._next = Guard(policy.distribution, 0.0, 0.0, 0.0), served, None
-        self._set_guard()
-        self._late, self._out_of_step = 0, ""
-        self._policy = policy
-        self.set_limits(*policy.limits)
-        self.get_logger().info(
-            f"policy {path.name} ({served['policy digest'][:12]}), {len(policy.z_ref)} observables, "
-            f"{len(policy.sectors.bearings)} sectors"
-        )
-        if policy.distribution is None:
-            self.get_logger().warning(
-                f"{path.name} has no region of training: only stale and unusable input stops the robot"
-            )
-
-    def _set_guard(self) -> None:
-        self._guard.set_limits(*(float(self.settings[name]) for name in _LIMITS))
-        self._guard.set_retries(*(self.settings[name] for name in _RETRIES))
-
-    def _in_step(self, elapsed: float) -> bool:
-        """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
-        dt = self._policy.dt
-        if dt is None or abs(elapsed / dt - 1.0) < STEP_TOLERANCE:
-            self._late, self._out_of_step = 0, ""
-            return True
-        self._late += 1
-        if self._late >= _OUT_OF_STEP and not self._out_of_step:
-            self._out_of_step = f"not watched: scans come every {elapsed:.2f} s, the model's step is {dt:.2f} s"
-            self._guard.reset_prediction_alarm()
-            self.get_logger().warning(f"prediction error {self._out_of_step}")
-        return False
-
-    def _not_watched(self, limit: str) -> str:
-        """Return why a parameter's limit is of no effect, empty where it is."""
-        if self._policy.distribution is None:
-            return "not watched: the policy's file has no region"
-        return "" if self.settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
+        super().__init__("koopman_lqr_controller", LatentDriver)
 
 
 def _doubles(values: NDArray[np.float64]) -> array[float]:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_driver import DRIVER_PARAMETERS, LidarDriver, PendingDecision, SensorReading
 from ctrl_rl_core.ros.parameters import robot_parameter
 
-from ctrl_rl_core import Parameter, run_node
+from ctrl_rl_core import DRIVER_PARAMETERS, DriverNode, NodeDriver, Parameter, Sensors, run_node
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
@@ -21,28 +20,29 @@ _AHEAD_GAIN = 0.6
 _MEMORY = 0.8
 
 
-class ScriptedDriver:
+class ScriptedDriver(NodeDriver):
     """Steers to the side with more room, at a wandering speed, with coloured noise on both commands."""
 
-    def __init__(self, random: np.random.Generator, speed: float, turn_noise: float, speed_noise: float) -> None:
-        """Make a driver.
-
-        Args:
-            random: Source of the noise.
-            speed: Mean speed [m/s].
-            turn_noise: Standard deviation of the noise on the turn rate [rad/s].
-            speed_noise: Standard deviation of the noise on the speed [m/s].
-        """
+    def __init__(self, node: DriverNode) -> None:
+        """Make the driver of a node."""
+        value = node.settings
         self.sectors = CorridorObservables().sectors
-        self._random = random
-        self._speed = speed
-        self._deviation = np.array([speed_noise, turn_noise])
+        self._random = np.random.default_rng(value["seed"])
+        self._speed = float(value["speed"])
+        self._deviation = np.array([value["speed_noise"], value["turn_noise"]])
+        most = np.array([value["largest_speed"], value["largest_turn_rate"]])
+        self.limits = -most, most
         self._noise = np.zeros(2)
         left = np.rad2deg(self.sectors.bearings[len(self.sectors.bearings) // 2 :])
         self._beside, self._ahead = (left >= 60) & (left <= 120), (left >= 20) & (left <= 60)
 
-    def command(self, distances: Array) -> Array:
-        """Return speed [m/s] and turn rate [rad/s] (2,) for the distances of `sectors` [m]."""
+    def command(self, sensors: Sensors) -> Array:
+        """Return speed [m/s] and turn rate [rad/s] (2,).
+
+        Raises:
+            ScanError: Nothing can be seen in the scan.
+        """
+        distances = self.sectors.distances(sensors.ranges, sensors.scan)
         half = len(distances) // 2
         left, right = distances[half:], distances[half - 1 :: -1]
         off_middle = np.mean(right[self._beside] - left[self._beside])
@@ -52,7 +52,7 @@ class ScriptedDriver:
         return np.array([self._speed, -_SIDE_GAIN * off_middle - _AHEAD_GAIN * bend]) + self._noise
 
 
-class ScriptedDriverNode(LidarDriver):
+class ScriptedDriverNode(DriverNode):
     """Drives a robot between walls with a shaking hand, to record drives that a model can be learned from.
 
     Subscribes to scan and odom, publishes cmd_vel.
@@ -69,18 +69,7 @@ class ScriptedDriverNode(LidarDriver):
     )
 
     def __init__(self) -> None:
-        super().__init__("scripted_driver")
-        random = np.random.default_rng(self.settings["seed"])
-        self._driver = ScriptedDriver(
-            random, *(float(self.settings[name]) for name in ("speed", "turn_noise", "speed_noise"))
-        )
-        limits = np.array([self.settings["largest_speed"], self.settings["largest_turn_rate"]])
-        self.set_limits(-limits, limits)
-
-    def decide(self, reading: SensorReading) -> PendingDecision:
-        """Return the scripted command."""
-        distances = self._driver.sectors.distances(reading.ranges, reading.scan)
-        return PendingDecision(self._driver.command(distances))
+        super().__init__("scripted_driver", ScriptedDriver)
 
 
 def main() -> int:

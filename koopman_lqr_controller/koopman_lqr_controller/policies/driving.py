@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ctrl_rl_core import OdometryReader, PolicyKind, Sensors
+from ctrl_rl_core import PolicyKind, Sensors
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy, load_policy, shipped_policies
 
 LARGEST_DISTANCE = 1.3
 """Distance from the latents of training that stops the robot, over that of 99.9 % of them."""
-
-
-_SPEEDS = OdometryReader(("v", "omega"))
 
 
 class DrivingPolicy:
@@ -40,8 +37,7 @@ class DrivingPolicy:
             ScanError: Nothing can be seen in the scan.
             KoopmanError: The latent is not as in training.
         """
-        v, omega = _SPEEDS(sensors.odometry).tolist()
-        decision = self._policy.decide(sensors.ranges, sensors.scan, v, omega)
+        decision = self._policy.decide(sensors.ranges, sensors.scan, *sensors.speeds)
         distribution = self._policy.distribution
         if distribution is not None and distribution.relative_distance(decision.z) > LARGEST_DISTANCE:
             raise KoopmanError("the latent has left the region seen in training")

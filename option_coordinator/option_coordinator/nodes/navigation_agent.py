@@ -6,17 +6,18 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.node import Status, ok
+from ctrl_rl_core.ros import Status, ok
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_core import (
     LIDAR_PARAMETERS,
-    LidarVelocityNode,
+    LidarRobot,
     OdometryReader,
     Parameter,
     ParameterError,
+    RobotNode,
     ScanGeometry,
     VelocityError,
     run_node,
@@ -29,7 +30,7 @@ from option_coordinator.teams.team_file import load_team
 _STAND = np.array(STAND)
 
 
-class NavigationAgent(LidarVelocityNode):
+class NavigationAgent(RobotNode):
     """Drives a robot between stations, one option after the other, as a coordinator grants them.
 
     Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; asks for options in the team's. Drives
@@ -47,7 +48,7 @@ class NavigationAgent(LidarVelocityNode):
         ),
         Parameter("patience", 2.0, "Time without an answer after which the safe option begins [s].", 0.05, 600.0),
     )
-    TIMEOUT = "sensor_timeout"
+    robot: LidarRobot
 
     def __init__(self) -> None:
         super().__init__("navigation_agent")
@@ -58,7 +59,9 @@ class NavigationAgent(LidarVelocityNode):
             raise ParameterError(f"parameter 'robot' is '{name}': team '{team.name}' has {', '.join(team.robots)}")
         self._names = team.option_names
         self._delivery, self._planner = Delivery(team, name), ReactivePlanner()
-        self.set_limits((0.0, -self._planner.turn), (self._planner.speed, self._planner.turn))
+        self.robot = robot = LidarRobot(self, "sensor_timeout")
+        robot.set_limits((0.0, -self._planner.turn), (self._planner.speed, self._planner.turn))
+        robot.on_scan, robot.on_odometry = self._keep, self._go_on
         self._read = OdometryReader(("x", "y", "theta"))
         self._pose: NDArray[np.float64] | None = None
         self._points: NDArray[np.float64] | None = None
@@ -88,24 +91,24 @@ class NavigationAgent(LidarVelocityNode):
         option = "none" if delivery.option is None else self._names[delivery.option]
         figures = {"option": option, "state": client.state.name.lower(), "delivered": delivery.delivered}
         figures |= {"carries": str(delivery.carries).lower(), "epoch": client.epoch, **client.counts, **sent}
-        return (level, message, figures) if self.problem else ok(f"option '{option}'", **figures)
+        return (level, message, figures) if self.robot.problem else ok(f"option '{option}'", **figures)
 
-    def on_odometry(self, message: Odometry, odometry: NDArray[np.float64]) -> None:  # noqa: ARG002
+    def _go_on(self, _: Odometry, odometry: NDArray[np.float64]) -> None:
         """Go on with the option from the robot's new pose."""
         first, self._pose = self._pose is None, self._read(odometry)
         if first:
             self._agent.start()
         self._drive()
 
-    def on_scan(self, _message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+    def _keep(self, _: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the scan's points in the frame of the odometry."""
-        if self._pose is not None and self._safety.view is not None:
+        if self._pose is not None and self.robot.safety.view is not None:
             self._points = scan_points(self._pose, ranges, scan, self.settings["lidar_x"])
 
     def _drive(self) -> None:
         """Go on with the option."""
         option, place = self._delivery.option, self._delivery.place
-        if self._pose is None or self._points is None or self.stale_input():
+        if self._pose is None or self._points is None or self.robot.stale_input():
             return
         if option is None:
             self._go(_STAND)
@@ -121,9 +124,9 @@ class NavigationAgent(LidarVelocityNode):
     def _go(self, command: NDArray[np.float64]) -> None:
         """Send a command, or stand where that is not safe."""
         try:
-            self.drive(command)
+            self.robot.drive(command)
         except VelocityError as error:
-            self.halt(str(error))
+            self.robot.halt(str(error))
 
     def _now(self) -> float:
         return 1e-9 * float(self.get_clock().now().nanoseconds)

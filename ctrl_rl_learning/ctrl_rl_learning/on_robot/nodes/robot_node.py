@@ -6,10 +6,9 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.lidar_velocity_node import SCAN_PARAMETERS
-from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
-from ctrl_rl_core.ros.node import Status, seconds
-from ctrl_rl_core.sensing.pose import planar
+from ctrl_rl_core.policies import POSE_PARAMETERS, PoseInput
+from ctrl_rl_core.ros import Status, seconds
+from ctrl_rl_core.sensing import planar
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -20,13 +19,14 @@ from std_srvs.srv import SetBool, Trigger
 from ctrl_rl_core import (
     COMMAND,
     RESULT,
+    SCAN_PARAMETERS,
     CtrlRlError,
-    LidarVelocityNode,
-    ObstacleStop,
+    LidarRobot,
     Outcome,
     Parameter,
     PolicyManifest,
     PoseError,
+    RobotNode,
     ScanGeometry,
     Sensors,
     read_goal,
@@ -43,7 +43,7 @@ RAW = "cmd_vel_raw"
 _TOLD = "safety_filter/status"
 
 
-class RobotNode(LidarVelocityNode):
+class LearningNode(RobotNode):
     """Drives a robot for an environment, by raw commands for the safety filter.
 
     Subscribes to scan, odom, goal_pose, episode, safety_filter/status, cmd_vel_operator, joy and what the parameter
@@ -61,24 +61,28 @@ class RobotNode(LidarVelocityNode):
         Parameter("joy_turn_axis", 0, "Axis of the joystick for the turn rate.", 0, 100),
     )
 
+    robot: LidarRobot
+
     def __init__(self, interface: PolicyManifest) -> None:
         """Make the node for a policy's interface."""
         super().__init__(NAME)
         low, high = np.array(interface.action.low), np.array(interface.action.high)
-        self.set_limits(low, high)
+        self.robot = robot = LidarRobot(self)
+        robot.set_limits(low, high)
+        robot.on_scan, robot.on_odometry, robot.fault = self._take_scan, self._take_odometry, self._stale_scan
         self.operator = Operator(self.settings["operator_timeout"], low, high)
         value = self.settings
         self._joy = JoyMapping(value["joy_button"], value["joy_speed_axis"], value["joy_turn_axis"])
         self._needs_goal = interface.observes("goal")
         self._wanted, self._last = np.zeros(2), np.zeros(2)
         self._driving = False
-        self._tally = Tally(self.now(), self._last)
+        self._tally = Tally(self.robot.now(), self._last)
         self._odometry: Array | None = None
         self._odometry_stamp = -math.inf
         self._kept_at, self._scan_fault = -math.inf, ""
         self._scan: tuple[NDArray[np.float32], ScanGeometry, float] | None = None
         self._goal: tuple[Array, str] | None = None
-        self._poses = PoseInput(self, self.timeout, self.now)
+        self._poses = PoseInput(self, robot.timeout, robot.now)
         self.status_of_filter: SafetyStatus | None = None
         self.episode: int | None = None
         self.outcome: Outcome | None = None
@@ -92,13 +96,13 @@ class RobotNode(LidarVelocityNode):
         self._taken_over = self.create_publisher(Bool, "~/taken_over", RESULT)
         self.create_service(Trigger, "~/ready", self._on_ready)
         self.create_service(SetBool, "~/finish", self._on_finish)
-        topic = self.output.publisher.topic_name
+        topic = self.robot.output.publisher.topic_name
         if topic.rpartition("/")[2] == "cmd_vel":
             raise LearningError(f"commands would go to {topic} past the safety filter: remap cmd_vel to {RAW}")
 
     def is_filtered(self) -> bool:
         """Return whether a safety filter takes the raw commands and tells what it does with them."""
-        return self.output.publisher.get_subscription_count() > 0 and self.count_publishers(_TOLD) > 0
+        return self.robot.output.publisher.get_subscription_count() > 0 and self.count_publishers(_TOLD) > 0
 
     def hold(self, command: Array) -> None:
         """Send a command (2,) now and again with each scan, unless the operator drives."""
@@ -109,19 +113,19 @@ class RobotNode(LidarVelocityNode):
         """Send the operator's command, or else the one that is held."""
         if not self._driving:
             return
-        taken = self.operator.command(self.now())
+        taken = self.operator.command(self.robot.now())
         command = self._wanted if taken is None else taken
         try:
-            self._last = self.drive(command)
+            self._last = self.robot.drive(command)
         except CtrlRlError as error:
-            self.halt(str(error))
+            self.robot.halt(str(error))
             self._last = np.zeros(2)
-        self._tally.sent(self.now(), self._last, taken is not None)
+        self._tally.sent(self.robot.now(), self._last, taken is not None)
 
     def rest(self) -> None:
         """Stand until the next command is held."""
         self._driving, self._wanted, self._last = False, np.zeros(2), np.zeros(2)
-        self.drive(self._last)
+        self.robot.drive(self._last)
 
     def begin_step(self, now: float) -> None:
         """Count anew from a time [s]."""
@@ -144,7 +148,7 @@ class RobotNode(LidarVelocityNode):
         Raises:
             LearningError: An input is missing, stale or unusable.
         """
-        problem = self.input_fault()
+        problem = self.robot.input_fault()
         if problem or self._scan is None or self._odometry is None:
             raise LearningError(problem or "no recent scan")
         ranges, scan, stamp = self._scan
@@ -163,7 +167,7 @@ class RobotNode(LidarVelocityNode):
     @property
     def scans(self) -> int:
         """Number of scans so far."""
-        return self._received
+        return self.robot.scans
 
     @property
     def held(self) -> Array:
@@ -180,52 +184,45 @@ class RobotNode(LidarVelocityNode):
         """Time stamp of the last scan [s]; -inf before the first one."""
         return -math.inf if self._scan is None else self._scan[2]
 
-    def input_fault(self) -> str:
-        """Return why scan or odometry allow no motion: what is kept must be fresh, not what comes."""
-        return super().input_fault() or self._stale_scan()
-
     def _stale_scan(self) -> str:
-        if self._scan is None or self.now() - self._kept_at <= self.timeout:
+        """Return why what is kept allows no motion: it must be fresh, not what comes."""
+        if self._scan is None or self.robot.now() - self._kept_at <= self.robot.timeout:
             return ""
         return f"no recent scan to drive by: {self._scan_fault or 'all are out of order'}"
 
-    def obstacle_stop(self) -> ObstacleStop:
-        """Return no stop: the safety filter keeps clear of obstacles."""
-        return ObstacleStop(0.0, 0.0, 1.0, 0.0)
-
-    def on_odometry(self, message: Odometry, odometry: Array) -> None:
+    def _take_odometry(self, message: Odometry, odometry: Array) -> None:
         """Keep it for the next reading."""
         self._odometry, self._odometry_stamp = odometry, seconds(message.header.stamp)
-        self._poses.on_odometry(message, self.frame)
+        self._poses.on_odometry(message, self.robot.frame)
 
-    def on_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+    def _take_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
         """Keep the newest scan, and send the command that is held again.
 
         A scan from the future is not kept: all that follow would seem late. One that was kept, before a simulator began
         anew, makes room for the first of the new time.
         """
         stamp, clock = seconds(message.header.stamp), self.get_clock().now().nanoseconds * 1e-9
-        ahead = clock > 0.0 and stamp - clock > self.timeout
-        before = stamp < self.stamp <= clock + self.timeout
-        self._tally.late_scans += ahead or before or clock - stamp > self.timeout
+        ahead = clock > 0.0 and stamp - clock > self.robot.timeout
+        before = stamp < self.stamp <= clock + self.robot.timeout
+        self._tally.late_scans += ahead or before or clock - stamp > self.robot.timeout
         if not (ahead or before):
-            self._scan, self._kept_at = (ranges.copy(), scan, stamp), self.now()
+            self._scan, self._kept_at = (ranges.copy(), scan, stamp), self.robot.now()
         self._scan_fault = f"a scan of {stamp - clock:.1f} s ahead of the clock" if ahead else ""
         self.send()
 
     def status(self) -> Status:
         """Return whether commands flow, and who gives them."""
         level, message, figures = super().status()
-        taken = self.operator.command(self.now()) is not None
+        taken = self.operator.command(self.robot.now()) is not None
         return level, message, {**figures, "taken over": str(taken).lower(), "refused": self.operator.refused}
 
     def _on_operator(self, message: Twist | TwistStamped) -> None:
         twist = message.twist if isinstance(message, TwistStamped) else message
-        self.operator.on_command(twist.linear.x, twist.angular.z, self.now())
+        self.operator.on_command(twist.linear.x, twist.angular.z, self.robot.now())
         self.send()
 
     def _on_joy(self, message: Joy) -> None:
-        self.operator.on_joy(message.axes, message.buttons, self._joy, self.now())
+        self.operator.on_joy(message.axes, message.buttons, self._joy, self.robot.now())
         self.send()
 
     def _on_status(self, message: SafetyStatus) -> None:

@@ -12,7 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading
-from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, RobotNode
+from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, LearningNode
 from ctrl_rl_msgs.srv import ResetWorld
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _SPIN_S = 0.02
 class Ros:
     """Takes messages for a node, and waits for things to happen."""
 
-    def __init__(self, node: RobotNode, patience: float = PATIENCE_S) -> None:
+    def __init__(self, node: LearningNode, patience: float = PATIENCE_S) -> None:
         """Serve a node.
 
         Args:
@@ -127,7 +127,7 @@ class RosRobot:
 
     def now(self) -> float:
         """Return steady time, or the simulator's [s]."""
-        return self._ros.node.now()
+        return self._ros.node.robot.now()
 
     def begin(self, seed: int) -> Reading:
         """Bring the robot to a start; it stands until the filter has answered and all inputs are fresh."""
@@ -187,9 +187,9 @@ class RosRobot:
             LearningError: They do not become so.
         """
         node = self._ros.node
-        problem = node.input_fault()
+        problem = node.robot.input_fault()
         if problem:
-            self._ros.until(lambda: not node.input_fault(), problem, wait=self._pass_time)
+            self._ros.until(lambda: not node.robot.input_fault(), problem, wait=self._pass_time)
 
     def _pass_time(self) -> None:
         """Let a little time pass."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.ros import seconds
 from std_srvs.srv import SetBool
 
 from ctrl_rl_learning.errors import LearningError

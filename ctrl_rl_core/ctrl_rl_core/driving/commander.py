@@ -1,23 +1,25 @@
-"""Base class of nodes that drive a robot: one publisher of velocities, and a stop when an input is missing or wrong.
+"""What sends a robot's commands: one publisher, and a stop when an input is missing or wrong. A part of a node.
 
-class Driver(VelocityNode):
+class Echo(SuiteNode):
+    PARAMETERS = (*VELOCITY_PARAMETERS, Parameter("scan_timeout", 0.3, "Age of stale odometry [s].", 0.05, 10.0))
+
     def __init__(self) -> None:
-        super().__init__("driver", needs=("odometry",))
-        self.set_limits(*find_robot("turtlebot3_burger").limits)
+        super().__init__("echo")
+        self.robot = Commander(self, needs=("odometry",))
+        self.robot.set_limits(*find_robot("turtlebot3_burger").limits)
         self.create_subscription(Odometry, "odom", self._on_odometry, SENSOR)
 
     def _on_odometry(self, message: Odometry) -> None:
-        self.note_input("odometry")
-        self.use_frame(message.child_frame_id)
-        self.drive(np.array((0.1, 0.0)))
+        self.robot.note_input("odometry")
+        self.robot.use_frame(message.child_frame_id)
+        self.robot.drive(np.array((0.1, 0.0)))
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time as Stamp
@@ -52,59 +54,65 @@ class VelocityError(CtrlRlError):
     """No velocity may be sent, so the robot must stop; the message is the reason."""
 
 
-class VelocityNode(SuiteNode):
-    """Publishes cmd_vel for one robot: finite, within limits, zero without recent input and when the node stops.
+class Commander:
+    """Sends one robot's commands: finite, within limits, zero without recent input and when the node stops.
 
-    With another output, zero stands for the command of a robot that has nothing to do.
-
-    In a dry run everything happens but the sending.
+    With another output, zero stands for the command of a robot that has nothing to do. In a dry run everything happens
+    but the sending. Its node is a `DriverNode`, or hands it what happens: `on_callback_error` to `fail`, a changed
+    parameter to `use_parameter`, `stop` and `on_suspend` to `stop`.
 
     Attributes:
-        TIMEOUT: Name of the parameter with the age of an input that stops the robot [s].
         output: Publisher of the commands.
         low: Lower limits of speed [m/s] and turn rate [rad/s] (2,).
         high: Upper limits of speed [m/s] and turn rate [rad/s] (2,).
         problem: The reason why the robot stands; empty while it drives.
         counts: Numbers of commands, of stops, and of checks that found a stale input.
         moving: Whether the last command that was sent moves the robot.
+        timeout: Age of an input that stops the robot [s].
+        limit: Returns the safe part of a command (2,), and the reason where it is less than the whole; VelocityError
+            where the robot must stop. Replace it where commands are checked.
+        stopping: Returns the command (2,) of a robot that must stop; replace it where another one stops it more safely.
+        on_halt: Called with the command and the reason after each halt.
+        on_stale_input: Called with the reason after a stale input has stopped the robot.
     """
 
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = VELOCITY_PARAMETERS
-    SHARED_MEMORY = False
-    TIMEOUT: ClassVar[str] = "scan_timeout"
-
-    def __init__(self, name: str, needs: Sequence[str]) -> None:
+    def __init__(
+        self, node: SuiteNode, needs: Sequence[str], timeout: str = "scan_timeout", output: CommandOutput | None = None
+    ) -> None:
         """Create the publisher; the limits are zero until `set_limits`.
 
         Args:
-            name: Name of the node.
+            node: Node with `VELOCITY_PARAMETERS`, whose timers and publisher are used.
             needs: Names of the inputs without which the robot stops, as in "no recent NAME".
+            timeout: Name of the parameter with the age of an input that stops the robot [s].
+            output: Publisher of the commands; cmd_vel unless given.
         """
-        super().__init__(name)
-        self.output = self.make_output()
+        self.node, self.settings = node, node.settings
+        self.output = output or VelocityOutput(node, node.settings["enable_stamped_cmd_vel"])
         self.output.header.frame_id = self.settings["base_frame"] or _SOME_BASE
         self.low, self.high = self.output.rest, self.output.rest
+        self.timeout = float(self.settings[timeout])
+        self.limit: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], str]] = lambda command: (command, "")
+        self.stopping: Callable[[], NDArray[np.float64]] = lambda: self.output.rest
+        self.on_halt: Callable[[NDArray[np.float64], str], None] = lambda _command, _problem: None
+        self.on_stale_input: Callable[[str], None] = lambda _problem: None
         # Ages are measured on a steady clock, because the system clock may be set while the robot drives. The clock of
         # a simulation may stand still: then `wall_timeout` counts, which is longer, since it may also be slow.
-        simulated = self.get_parameter("use_sim_time").value
-        self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        simulated = node.get_parameter("use_sim_time").value
+        self.clock = node.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
-        self._begun = self._ages.now()
+        self._begun = self.clock.now()
         self._wall_timeout: float = self.settings["wall_timeout"] if simulated else math.inf
         self._heard_at: dict[str, float] = {}
         if simulated:
             wall = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(0.25 * self._wall_timeout, self._watch_wall, clock=wall)
+            node.create_timer(0.25 * self._wall_timeout, self._watch_wall, clock=wall)
         self._rivals: tuple[str, ...] = ()
-        self._others = self.output.make_rivals(self, self._on_rival)
+        self._others = self.output.make_rivals(node, self._on_rival)
         self.counts = {"commands": 0, "stopped": 0, "stale": 0}
         self.moving = False
         self.problem = f"waiting for {' and '.join(needs)}"
-        self.create_timer(0.5 * self.timeout, self._watch, clock=self._ages)
-
-    def make_output(self) -> CommandOutput:
-        """Return where commands go; called once, when the parameters are known. Override it for other robots."""
-        return VelocityOutput(self, self.settings["enable_stamped_cmd_vel"])
+        node.create_timer(0.5 * self.timeout, self._watch, clock=self.clock)
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
         """Set lower and upper limits of speed [m/s] and turn rate [rad/s], (2,) each.
@@ -130,11 +138,11 @@ class VelocityNode(SuiteNode):
 
     def now(self) -> float:
         """Return the time on the clock that ages are measured on [s]."""
-        return float(self._ages.now().nanoseconds) * 1e-9
+        return float(self.clock.now().nanoseconds) * 1e-9
 
     def note_input(self, what: str) -> None:
         """Note that a usable input has just arrived."""
-        self._heard[what], self._heard_at[what] = self._ages.now(), time.monotonic()
+        self._heard[what], self._heard_at[what] = self.clock.now(), time.monotonic()
 
     def age(self, what: str) -> float:
         """Return the age of an input [s]; infinite before the first, and where it is overdue in wall time."""
@@ -171,27 +179,19 @@ class VelocityNode(SuiteNode):
         Raises:
             VelocityError: The command is not finite, or not safe; nothing was sent, and the robot must stop.
         """
-        if self.faults.failing:
-            self.halt(f"callback failed: {self.faults.last}", stamp)
+        if self.node.faults.failing:
+            self.halt(f"callback failed: {self.node.faults.last}", stamp)
             return self.output.rest
         rival = "" if self.settings["dry_run"] else self.rival()
         if rival and bool((command != self.output.rest).any()):
             self.halt(rival, stamp)
             return self.output.rest
-        command, problem = self.make_safe(self.clip(command))
+        command, problem = self.limit(self.clip(command))
         if not self.settings["dry_run"]:
             self.counts["commands"] += 1
             self._send(command, stamp)
         self._say(problem)
         return command
-
-    def make_safe(self, command: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-        """Return the safe part of a command (2,), and the reason where it is less than the whole; override it.
-
-        Raises:
-            VelocityError: The robot must stop.
-        """
-        return command, ""
 
     def halt(self, problem: str, stamp: Stamp | None = None) -> None:
         """Send zero velocity, or what `stopping` says instead, and log the reason when it changes.
@@ -200,27 +200,22 @@ class VelocityNode(SuiteNode):
             problem: The reason, for the log and for `diagnostics`.
             stamp: Time of the input that it answers; now unless given.
         """
+        command = self.stopping()
         if not self.settings["dry_run"]:
-            self._send(self.stopping(), stamp)
+            self._send(command, stamp)
         self._say(problem)
+        self.on_halt(command, problem)
 
     def rival(self) -> str:
         """Return who else commands the robot; empty where nobody does."""
         return "" if self._others is None else self._others.fault()
 
-    def stopping(self) -> NDArray[np.float64]:
-        """Return the command (2,) of a robot that must stop; override it where another one stops it more safely."""
-        return self.output.rest
-
-    def on_callback_error(self, _error: Exception) -> None:
+    def fail(self) -> None:
         """Stop the robot until each callback that failed has run again."""
-        self.halt(f"callback failed: {self.faults.last}")
+        self.halt(f"callback failed: {self.node.faults.last}")
 
-    def on_stale_input(self, problem: str) -> None:
-        """React to a stale input; the robot has been stopped already. Override it to report the input elsewhere."""
-
-    def on_parameter_changed(self, name: str) -> None:
-        """Stop the robot when a dry run begins; it must not keep the last command."""
+    def use_parameter(self, name: str) -> None:
+        """Apply a changed parameter; when a dry run begins the robot stops, as it must not keep the last command."""
         if name == "dry_run" and self.settings["dry_run"] and self.moving:
             self._send(self.output.rest, None)
 
@@ -230,10 +225,6 @@ class VelocityNode(SuiteNode):
             self._send(self.output.rest, None)
             self.output.publisher.wait_for_all_acked(_LAST_WORD)
 
-    def on_suspend(self) -> None:
-        """Leave the robot standing as at the end."""
-        self.stop()
-
     def status(self) -> Status:
         """Return whether commands are sent, and the names of other publishers."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
@@ -242,11 +233,6 @@ class VelocityNode(SuiteNode):
             figures["problem"] = self.problem
             return warn(f"{dry}{self._rivalry()}", **figures)
         return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
-
-    @property
-    def timeout(self) -> float:
-        """Age of an input that stops the robot [s]."""
-        return float(self.settings[self.TIMEOUT])
 
     def _watch(self) -> None:
         """Stop the robot when an input stays away."""
@@ -263,7 +249,7 @@ class VelocityNode(SuiteNode):
         if problem:
             self.counts["stopped"] += 1
             if _kind(problem) != _kind(self.problem):
-                self.get_logger().warning(f"stopping: {problem}")
+                self.node.get_logger().warning(f"stopping: {problem}")
         self.problem = problem
 
     def _watch_wall(self) -> None:
@@ -280,9 +266,9 @@ class VelocityNode(SuiteNode):
 
     def _look_for_rivals(self) -> tuple[str, ...]:
         """Return the other publishers of cmd_vel; log them when they change."""
-        before, self._rivals = self._rivals, self.other_publishers(self.output.publisher.topic_name)
+        before, self._rivals = self._rivals, self.node.other_publishers(self.output.publisher.topic_name)
         if self._rivals and self._rivals != before:
-            self.get_logger().warning(self._rivalry())
+            self.node.get_logger().warning(self._rivalry())
         return self._rivals
 
     def _rivalry(self) -> str:
@@ -290,11 +276,11 @@ class VelocityNode(SuiteNode):
         return f"{names} publishes on {topic} too: the robot follows the latest command of any"
 
     def _elapsed(self, then: Time) -> float:
-        return float((self._ages.now() - then).nanoseconds) * 1e-9
+        return float((self.clock.now() - then).nanoseconds) * 1e-9
 
     def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
         self.moving = bool((command != self.output.rest).any())
-        sent = self.output.send(command, self.get_clock().now().to_msg() if stamp is None else stamp)
+        sent = self.output.send(command, self.node.get_clock().now().to_msg() if stamp is None else stamp)
         if self._others is not None:
             self._others.sent(sent)
 

@@ -1,0 +1,237 @@
+"""Nodes that drive a robot: a robot on topics, a driver that answers its scans, and a filter between them.
+
+class MyNode(DriverNode):
+PARAMETERS = (*DRIVER_PARAMETERS, Parameter("speed", 0.1, "Speed [m/s].", 0.0, 1.0))
+
+def __init__(self) -> None:
+super().__init__("my_node", MyDriver)      # class MyDriver(NodeDriver) with command(sensors)
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import ClassVar
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Header
+
+from ctrl_rl_core.driving.arrival import ENDED, Arrival
+from ctrl_rl_core.driving.command_output import ThrustOutput
+from ctrl_rl_core.driving.commander import Commander, VelocityError
+from ctrl_rl_core.driving.drive import Driver, Filter
+from ctrl_rl_core.driving.lidar_robot import LIDAR_PARAMETERS, LidarRobot
+from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.ros.node import RESULT, Status, SuiteNode, seconds
+from ctrl_rl_core.ros.parameters import Parameter
+from ctrl_rl_core.sensing.scan import ScanGeometry
+from ctrl_rl_core.sensing.sensors import Sensors
+from ctrl_rl_msgs.msg import EpisodeStatus
+
+Array = NDArray[np.float64]
+
+DRIVER_PARAMETERS = (
+    *LIDAR_PARAMETERS,
+    Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+)
+MAX_DISTANCE = Parameter(
+    "max_distance",
+    0.0,
+    "Distance by odometry after which the robot stands until this parameter is set again [m]; 0.0 for none.",
+    0.0,
+    1e6,
+    live=True,
+)
+"""For drivers whose drive has an end; they stand, too, once a simulator's episode has an outcome."""
+_RECENT = 1000
+
+
+class RobotNode(SuiteNode):
+    """A node with one robot, which stands when the node fails, is suspended or ends.
+
+    Attributes:
+        robot: The robot; whoever derives a class makes it in the constructor.
+    """
+
+    SHARED_MEMORY = False
+    robot: Commander
+
+    def on_callback_error(self, _error: Exception) -> None:
+        """Stop the robot until each callback that failed has run again."""
+        self.robot.fail()
+
+    def on_parameter_changed(self, name: str) -> None:
+        """Apply a parameter of the robot."""
+        self.robot.use_parameter(name)
+
+    def status(self) -> Status:
+        """Return whether commands are sent."""
+        return self.robot.status()
+
+    def stop(self) -> None:
+        """Leave the robot standing."""
+        self.robot.stop()
+
+    def on_suspend(self) -> None:
+        """Leave the robot standing as at the end."""
+        self.robot.stop()
+
+
+class NodeDriver(Driver[Sensors]):
+    """A driver as a part of a `DriverNode`: a `Driver`, and what its node tells it.
+
+    Attributes:
+        limits: Least and largest command (2,), (2,).
+        thrusts_at_rest: Thrusts that carry a quadrotor (2,) [N]; None for a robot on wheels.
+    """
+
+    limits: tuple[Array, Array]
+    thrusts_at_rest: Array | None = None
+
+    def on_sent(self, header: Header, command: Array, problem: str) -> None:
+        """Note a command after it was sent, or would have been in a dry run; nobody waits for it any more.
+
+        Args:
+            header: Header of the scan; without scans, one with the present time.
+            command: Speed [m/s] and turn rate [rad/s] (2,).
+            problem: Reason why the robot stands; empty while it drives.
+        """
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Take usable odometry."""
+
+    def on_episode(self, message: EpisodeStatus) -> None:
+        """Take the state of the simulator's episode."""
+
+    def use_parameter(self, name: str) -> None:
+        """Apply a changed parameter.
+
+        Raises:
+            CtrlRlError: The value does not serve.
+        """
+
+    def figures(self) -> Mapping[str, object]:
+        """Return key figures for `diagnostics`."""
+        return {}
+
+
+class DriverNode(RobotNode):
+    """Publishes one command for each scan; the robot stands where scan, odometry or decision are unfit.
+
+    Attributes:
+        robot: Robot on topics.
+        driver: Driver that answers its scans.
+        filter: Filter of the driver's commands; None for none but the robot's own stop in front of obstacles.
+    """
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
+    robot: LidarRobot
+
+    def __init__(
+        self,
+        name: str,
+        make_driver: Callable[[DriverNode], NodeDriver],
+        filter: Filter[Sensors] | None = None,  # noqa: A002
+    ) -> None:
+        """Make the node.
+
+        Args:
+            name: Name of the node.
+            make_driver: Makes the driver from the node, whose settings are known by then; its robot
+                follows.
+            filter: Filter of the driver's commands.
+        """
+        super().__init__(name)
+        self.driver, self.filter = make_driver(self), filter
+        thrusts = self.driver.thrusts_at_rest
+        self.robot = robot = LidarRobot(self, output=None if thrusts is None else ThrustOutput(self, thrusts))
+        if thrusts is not None:
+            robot.limit = robot.limit_by_inputs
+        robot.set_limits(*self.driver.limits)
+        robot.on_scan, robot.on_odometry, robot.on_stale_input = self._answer, self._keep, self._tell_stale
+        self._odometry: Array | None = None
+        self._sent = robot.output.rest
+        self._latencies: deque[float] = deque(maxlen=_RECENT)
+        self._arrival: Arrival | None = None
+        if MAX_DISTANCE.name in self.settings:
+            self._arrival = Arrival(self.settings[MAX_DISTANCE.name])
+            self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
+
+    def on_parameter_changed(self, name: str) -> None:
+        """Apply a parameter; a drive begins anew when its distance is set."""
+        if name == MAX_DISTANCE.name and self._arrival is not None:
+            self._arrival.max_distance = self.settings[name]
+            self._arrival.begin()
+            return
+        self.driver.use_parameter(name)
+        self.robot.use_parameter(name)
+        self.robot.set_limits(*self.driver.limits)
+
+    def status(self) -> Status:
+        """Return whether commands flow, and how quickly; a robot that stands because all is done is well."""
+        level, message, figures = self.robot.status()
+        if self._latencies:
+            p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
+            figures = {**figures, "decision p50 [ms]": f"{p50:.3f}", "decision p99 [ms]": f"{p99:.3f}"}
+        if self._arrival is not None:
+            if self.robot.problem.startswith(ENDED) and not figures["other publishers"]:
+                level = DiagnosticStatus.OK
+            figures = {**figures, "driven [m]": f"{self._arrival.travelled:.2f}"}
+        return level, message, {**figures, **self.driver.figures()}
+
+    def _answer(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
+        """Answer a scan with a command."""
+        begin, header, robot = time.perf_counter(), message.header, self.robot
+        try:
+            sent = robot.drive(self._decide(seconds(header.stamp), ranges, scan), header.stamp)
+        except CtrlRlError as error:
+            robot.halt(str(error), header.stamp)
+            self._sent = robot.output.rest
+            self.driver.on_sent(header, self._sent, str(error))
+            return
+        self._sent = sent
+        self._latencies.append(time.perf_counter() - begin)
+        self.driver.on_sent(header, sent, robot.problem)
+
+    def _decide(self, now: float, ranges: NDArray[np.float32], scan: ScanGeometry) -> Array:
+        """Return the command (2,) for a scan of a time [s].
+
+        Raises:
+            CtrlRlError: There is none: an input is unfit, or the drive is over.
+        """
+        if fault := self.robot.input_fault():
+            raise VelocityError(fault)
+        if self._arrival is not None:
+            self._arrival.moved(now, self.robot.motion[0])
+            if over := self._arrival.reason():
+                raise VelocityError(over)
+        assert self._odometry is not None  # the input is fit
+        sensors = Sensors(ranges, scan, self._odometry, None, None, self._sent, now)
+        command = self.driver.command(sensors)
+        return command if self.filter is None else self.filter(sensors, command)
+
+    def _keep(self, message: Odometry, odometry: Array) -> None:
+        """Keep odometry for the next scan, and count the way by its pose."""
+        self._odometry = odometry
+        if self._arrival is not None:
+            self._arrival.went(float(odometry[0]), float(odometry[1]))
+        self.driver.on_odometry(message)
+
+    def _tell_stale(self, problem: str) -> None:
+        """Report that the robot stands without a scan to answer."""
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.robot.frame)
+        self.driver.on_sent(header, self.robot.output.rest, problem)
+
+    def _on_episode(self, message: EpisodeStatus) -> None:
+        """Stand at once where a simulator says that the episode is over: the next scan may be a while away."""
+        assert self._arrival is not None
+        self._arrival.episode(message.episode, message.outcome.value)
+        over = self._arrival.reason()
+        if over and self.robot.moving:
+            self.robot.halt(over)
+        self.driver.on_episode(message)

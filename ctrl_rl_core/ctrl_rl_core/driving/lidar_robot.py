@@ -1,0 +1,235 @@
+"""A robot with a lidar on topics, as a part of a node: it stops on unusable scans and in front of obstacles.
+
+Whatever a driver commands, `drive` sends only the part that is safe by the last scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from numpy.typing import ArrayLike, NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
+
+from ctrl_rl_core.driving.command_output import CommandOutput
+from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, VelocityError
+from ctrl_rl_core.driving.drive_safety import DriveSafety
+from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.ros.node import SENSOR, Status, SuiteNode, nanoseconds
+from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
+from ctrl_rl_core.sensing.odometry import OMEGA_Z, OdometryError, V, read_odometry
+from ctrl_rl_core.sensing.odometry_health import OdometryHealth
+from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, read_scan
+from ctrl_rl_core.sensing.scan_health import ScanHealth
+
+Array = NDArray[np.float64]
+Ranges = NDArray[np.float32]
+
+_SCAN_CHECKS = (
+    Parameter(
+        "min_echo_share",
+        0.3,
+        "Least share of beams with an echo; the robot stops below it; 0.0 to drive in the open.",
+        0.0,
+        1.0,
+        live=True,
+    ),
+    Parameter(
+        "largest_gap",
+        2.1,
+        "Widest angle without echoes in the direction of travel; the robot stops beyond it; 6.3 for any [rad].",
+        0.1,
+        6.3,
+        live=True,
+    ),
+    Parameter(
+        "frozen_scans",
+        2,
+        "Number of identical scans in a row that stop a moving robot; 0 for never.",
+        0,
+        1000,
+        live=True,
+    ),
+)
+_OBSTACLE_STOP = (
+    robot_parameter(
+        "robot_radius",
+        "radius",
+        "Radius around base_link that holds all of the robot; 0.0 for no obstacle stop [m].",
+        0.0,
+        5.0,
+        live=True,
+    ),
+    Parameter("obstacle_margin", 0.02, "Additional distance to obstacles [m].", 0.0, 2.0, live=True),
+    robot_parameter(
+        "deceleration", "plan.braking", "Deceleration of the robot when it brakes [m/s^2].", 0.05, 100.0, live=True
+    ),
+    Parameter(
+        "reaction_time",
+        0.3,
+        "Time from a scan to the effect of the command that answers the next scan [s].",
+        0.0,
+        5.0,
+        live=True,
+    ),
+)
+SCAN_PARAMETERS = (
+    *VELOCITY_PARAMETERS,
+    ROBOT,
+    robot_parameter("lidar_x", "lidar.x", "Position of the lidar ahead of base_link [m].", -1.0, 1.0),
+    robot_parameter(
+        "lidar_yaw", "lidar.yaw", "Direction of the scan's zero bearing in the robot's frame [rad].", -3.1416, 3.1416
+    ),
+    *_SCAN_CHECKS,
+)
+"""Parameters without those of the obstacle stop, for a node that keeps clear of obstacles in its own way."""
+LIDAR_PARAMETERS = (*SCAN_PARAMETERS, *_OBSTACLE_STOP)
+_CHECKED = {parameter.name for parameter in (*_SCAN_CHECKS, *_OBSTACLE_STOP)}
+_FASTER = 1.5
+"""A robot may be faster than its commands by this factor."""
+_LOOK_AROUND_S = 1.0
+"""Time between two checks of the scan's publishers [s]; a query of the graph takes a fraction of a millisecond."""
+
+
+class LidarRobot(Commander):
+    """A robot with a lidar on topics: scan and odometry in, only commands out that are safe by the last scan.
+
+    Attributes:
+        motion: Speed [m/s] and turn rate [rad/s] by odometry.
+        safety: Checks of the last scan, with its echoes.
+        scans: Number of scans so far.
+        on_odometry: Called with each usable odometry, the message and its numbers (13,), see `ODOMETRY_NAMES`.
+        on_scan: Called with each scan, usable or not: the message, the ranges (beams,) [m], and the bearings and limits
+            of the beams in the robot's frame.
+        fault: Returns why something else allows no motion; empty where it does.
+    """
+
+    def __init__(
+        self,
+        node: SuiteNode,
+        timeout: str = "scan_timeout",
+        output: CommandOutput | None = None,
+        reach: float | None = None,
+    ) -> None:
+        """Subscribe to scan and odom.
+
+        Args:
+            node: Node with `LIDAR_PARAMETERS`, or with `SCAN_PARAMETERS`, without an obstacle stop.
+            timeout: Name of the parameter with the age of an input that stops the robot [s].
+            output: Publisher of the commands; cmd_vel unless given.
+            reach: Distance from the lidar at which an echo may matter [m]; that of the obstacle stop unless given.
+        """
+        super().__init__(node, ("scan", "odometry"), timeout, output)
+        self.limit = self.limit_by_scan
+        self.motion, self.scans = (0.0, 0.0), 0
+        self.on_odometry: Callable[[Odometry, Array], None] = lambda _message, _odometry: None
+        self.on_scan: Callable[[LaserScan, Ranges, ScanGeometry], None] = lambda _message, _ranges, _scan: None
+        self.fault: Callable[[], str] = lambda: ""
+        self._odometry_fault, self._odometry_health, self._crowd = "", OdometryHealth(), ""
+        self._given_reach = reach
+        stop = self._obstacle_stop()
+        self.safety = DriveSafety(self._scan_health(), stop, self.settings["lidar_x"], self._reach(stop))
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_subscription(Odometry, "odom", self.hear_odometry, SENSOR)
+        self._topic: str = node.create_subscription(LaserScan, "scan", self.hear_scan, SENSOR).topic_name
+        node.create_timer(_LOOK_AROUND_S, self._look_around, clock=self._steady)
+
+    def input_fault(self) -> str:
+        """Return why the inputs allow no motion; empty where they do."""
+        return self.stale_input() or self._odometry_fault or self._crowd or self.safety.fault or self.fault()
+
+    def limit_by_scan(self, command: Array) -> tuple[Array, str]:
+        """Return the safe part of a command (2,) by the last scan, and the reason where it is less than the whole.
+
+        Raises:
+            VelocityError: No recent scan covers the direction of the command.
+        """
+        problem = self.input_fault() if command.any() else ""
+        if problem:
+            raise VelocityError(problem)
+        try:
+            return self.safety.limit(command, self.motion[0], self.age("scan"))
+        except ScanError as error:
+            raise VelocityError(str(error)) from None
+
+    def limit_by_inputs(self, command: Array) -> tuple[Array, str]:
+        """Return a command (2,) as it is, for a robot that obstacles do not stop.
+
+        Raises:
+            VelocityError: The inputs allow no motion.
+        """
+        problem = self.input_fault()
+        if problem:
+            raise VelocityError(problem)
+        return command, ""
+
+    def use_parameter(self, name: str) -> None:
+        """Apply a changed parameter; checks of scans count from the next scan on."""
+        if name in _CHECKED:
+            stop = self._obstacle_stop()
+            self.safety.set_checks(self._scan_health(), stop, self._reach(stop))
+        super().use_parameter(name)
+
+    def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Set the limits of the commands, and the range of echoes that the fastest of them needs."""
+        super().set_limits(low, high)
+        self.safety.reach = self._reach(self._obstacle_stop())
+
+    def status(self) -> Status:
+        """Return whether commands are sent, and the share of beams with an echo."""
+        level, message, figures = super().status()
+        view = self.safety.view
+        share = "none" if view is None else f"{100 * view.share:.0f}"
+        return level, message, {"scans": self.scans, **figures, "beams with an echo [%]": share}
+
+    def _obstacle_stop(self) -> ObstacleStop:
+        """Return the stop in front of obstacles; none where the node keeps clear of them in its own way."""
+        value = self.settings
+        if "obstacle_margin" not in value:
+            return ObstacleStop(0.0, 0.0, 1.0, 0.0)
+        return ObstacleStop(
+            value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]
+        )
+
+    def _reach(self, stop: ObstacleStop) -> float:
+        """Return the distance from the lidar at which an echo may stop the robot [m]."""
+        if self._given_reach is not None:
+            return self._given_reach
+        top = float(np.abs((self.low[0], self.high[0])).max())
+        return stop.radius + stop.margin + abs(self.settings["lidar_x"]) + stop.reach(_FASTER * top, self.timeout)
+
+    def _scan_health(self) -> ScanHealth:
+        value = self.settings
+        return ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
+
+    def hear_odometry(self, message: Odometry) -> None:
+        """Take odometry; the robot stops where it cannot be used."""
+        self.use_frame(message.child_frame_id)
+        self.note_input("odometry")
+        try:
+            odometry = read_odometry(message)
+            contradiction = self._odometry_health.update(nanoseconds(message.header.stamp), odometry)
+            if contradiction:
+                raise OdometryError(contradiction)
+        except OdometryError as error:
+            self._odometry_fault = str(error)
+            self.halt(self._odometry_fault, message.header.stamp)
+            return
+        self.motion, self._odometry_fault = (float(odometry[V]), float(odometry[OMEGA_Z])), ""
+        self.on_odometry(message, odometry)
+
+    def hear_scan(self, message: LaserScan) -> None:
+        """Take a scan, and check it."""
+        self.scans += 1
+        self.note_input("scan")
+        ranges, scan = read_scan(message, self.settings["lidar_yaw"])
+        stamp, now = nanoseconds(message.header.stamp), self._steady.now().nanoseconds * 1e-9
+        self.safety.update(now, stamp, message.header.frame_id, ranges, scan, self.motion)
+        self.on_scan(message, ranges, scan)
+
+    def _look_around(self) -> None:
+        """Check that one lidar alone publishes scans."""
+        count = self.node.count_publishers(self._topic)
+        self._crowd = f"{count} publishers on {self._topic}: there must be one lidar" if count > 1 else ""

@@ -1,0 +1,74 @@
+"""The navigator as a driver: sensors with a pose on the map in, commands out; in process and in its node."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from ctrl_rl_core.navigation.transform_tree import Transform
+from ctrl_rl_core.sensing.pose import planar
+from ctrl_rl_core.sensing.scan import ScanError, view_scan
+from numpy.typing import NDArray
+
+from ctrl_rl_core import Sensors
+from ctrl_rl_navigation.driving.decision import Decision, NavigatorState
+from ctrl_rl_navigation.driving.navigator import Navigator
+
+Array = NDArray[np.float64]
+
+_STAND = np.zeros(2)
+_NOWHERE = Transform.planar(0.0, 0.0, 0.0)
+
+
+class NavigatorDriver:
+    """Shows scans to a navigator, each from where it was taken, and asks it for commands.
+
+    Args:
+        navigator: Navigator with a map and a goal, or one that waits for them.
+        lidar_x: Position of the lidar ahead of the robot's middle [m].
+        reach: Distance from the robot up to which echoes matter [m].
+
+    Attributes:
+        navigator: The navigator.
+        decision: Its last decision.
+    """
+
+    def __init__(self, navigator: Navigator, lidar_x: float, reach: float = math.inf) -> None:
+        self.navigator, self._lidar_x, self._reach = navigator, lidar_x, reach
+        self.decision = Decision(_STAND, NavigatorState.WAITING, "waiting for a map")
+        self._echoes, self._seen_from = np.empty((0, 2)), _NOWHERE
+
+    def see(self, sensors: Sensors) -> None:
+        """Take a scan, with odometry, and pose where it is known, as they were when it was taken."""
+        try:
+            points = view_scan(sensors.ranges, sensors.scan, math.inf, self._lidar_x).points
+        except ScanError:
+            return
+        self._echoes = points[np.hypot(*points.T) < self._reach]
+        self._seen_from = _place(sensors)
+        if sensors.pose is not None:
+            self.navigator.see(sensors.time, sensors.pose, self._echoes)
+
+    def command(self, sensors: Sensors) -> Array:
+        """Return the command (2,), zeros where the pose is unknown; a scan that was just taken is seen, too."""
+        self.navigator.sent(sensors.command)
+        if sensors.age == 0.0:
+            self.see(sensors)
+        if sensors.pose is None:
+            return self.wait(sensors.time, "the pose is unknown")
+        x, y, yaw = (_place(sensors).inverse() @ self._seen_from).pose.tolist()
+        c, s = math.cos(yaw), math.sin(yaw)
+        echoes = self._echoes @ np.array(((c, s), (-s, c))) + (x, y)
+        self.decision = self.navigator.decide(sensors.time, sensors.pose, echoes)
+        return self.decision.command
+
+    def wait(self, now: float, problem: str, remaining_time: float = math.nan) -> Array:
+        """Let the background go on, and return the command of a robot that must stand for some reason (2,)."""
+        self.navigator.poll(now)
+        self.decision = Decision(_STAND, NavigatorState.WAITING, problem, remaining_time)
+        return _STAND
+
+
+def _place(sensors: Sensors) -> Transform:
+    """Return the pose by odometry."""
+    return Transform.planar(*planar(sensors.odometry[:7].tolist()).tolist())
