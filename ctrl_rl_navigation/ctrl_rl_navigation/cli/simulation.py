@@ -3,26 +3,40 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.navigation.transform_tree import Transform
 from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
-from ctrl_rl_core.sensing.scan import ScanError, view_scan
 from numpy.typing import ArrayLike, NDArray
 from sim_bridge.simulation.localisation import Localiser, correction
 
-from ctrl_rl_core import DriveSafety, NavigationTask, ObstacleStop, OccupancyMap, ScanHealth, find_robot
-from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
+from ctrl_rl_core import (
+    DriveSafety,
+    FunctionDriver,
+    NavigationTask,
+    ObstacleStop,
+    OccupancyMap,
+    ScanHealth,
+    Sensors,
+    drive,
+    find_robot,
+)
+from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
+from ctrl_rl_navigation.driving.navigator_driver import NavigatorDriver
 from ctrl_rl_navigation.robot import DriveLimits, limits_of
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import RobotSenses, SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
 
 _ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
 _FAR = 1e4
+_STOOD = 0.01
+"""Speed below which a robot stands [m/s]."""
 _MARGIN, _REACTION, _FASTER = 0.02, 0.3, 1.5
 """Margin [m] and reaction time [s] of the obstacle stop, and a robot's speed over that of its commands, as in nodes."""
 TASK_NAME = "drive_on_a_map"
@@ -68,47 +82,56 @@ class Errors:
     rate: float = 5.0
 
 
-class LocalisedPose:
-    """The pose in the map by a drifting odometry that a localiser corrects at a rate."""
+class LocalisedRobot:
+    """The robot of a world in Gymnasium's form; a localiser corrects its drifting odometry at a rate.
 
-    def __init__(self, world: SimulatedWorld, errors: Errors, random: np.random.Generator) -> None:
-        self._world, self._period = world, 1.0 / errors.rate
+    Info has `collided`. An episode is cut after some time, or where the driver is done and the robot stands.
+
+    Attributes:
+        trace: True poses (3,) in which it was commanded.
+    """
+
+    def __init__(self, world: SimulatedWorld, errors: Errors, random: np.random.Generator, period: float) -> None:
+        self.trace: list[Array] = []
+        self._world, self._corrections, self._steps = world, 1.0 / errors.rate, round(period * world.options.rate)
         self._localiser = Localiser(errors.position, errors.heading, errors.rate, random)
-        self._next = 0.0
-        self._correction = np.zeros(3)
+        self._correct_at = self._scan_at = 0.0
+        self._correction = Transform.planar(0.0, 0.0, 0.0)
+        self._senses, self._until = RobotSenses(world), math.inf
+        self._is_done: Callable[[], bool] = lambda: False
 
-    def odometry(self) -> Array:
-        """Return the pose by odometry (3,)."""
-        return self._world.odometry().pose
+    def begin(self, longest: float, is_done: Callable[[], bool]) -> None:
+        """Set for how long the next episode may last [s], and what says that its driver is done."""
+        self._until, self._is_done = self._world.elapsed + longest, is_done
+        self._scan_at = self._world.elapsed
 
-    def pose(self) -> Array:
-        """Return the pose in the map (3,)."""
-        odometry = self.odometry()
-        if self._world.elapsed >= self._next:
-            self._next = self._world.elapsed + self._period
-            self._correction = correction(self._localiser.update(self._world.pose()), odometry)
-        return compose(self._correction, odometry)
+    def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:  # noqa: ARG002 - the world was made of it
+        """Go on from where the robot is."""
+        return self._sense(np.zeros(2)), {"collided": False}
 
+    def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
+        """Hold a command (2,) for a period."""
+        world = self._world
+        world.command(0, command)
+        self.trace.append(world.pose())
+        ended = self._is_done() and abs(world.velocity()[0]) < _STOOD
+        if not ended:
+            world.step(self._steps)
+        collided = world.episode().clearance <= 0.0
+        cut = ended or world.elapsed >= self._until
+        return self._sense(command), 0.0, collided, cut and not collided, {"collided": collided}
 
-def compose(first: Array, second: Array) -> Array:
-    """Return a pose (3,) given in the frame of another one (3,), in the frame of that one's."""
-    c, s = math.cos(first[2]), math.sin(first[2])
-    x, y = first[0] + c * second[0] - s * second[1], first[1] + s * second[0] + c * second[1]
-    return np.array((x, y, first[2] + second[2]))
-
-
-def inverse(pose: Array) -> Array:
-    """Return the inverse of a pose (3,)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.array((-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]))
-
-
-def move(points: Array, pose: Array) -> Array:
-    """Return points (n, 2) of a frame in the frame that its pose (3,) is given in."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.column_stack(
-        (pose[0] + c * points[:, 0] - s * points[:, 1], pose[1] + s * points[:, 0] + c * points[:, 1])
-    )
+    def _sense(self, command: Array) -> Sensors:
+        world, now = self._world, self._world.elapsed
+        odometry = world.odometry().pose
+        if now >= self._correct_at:
+            self._correct_at = now + self._corrections
+            self._correction = Transform.planar(*correction(self._localiser.update(world.pose()), odometry).tolist())
+        look = now >= self._scan_at - 1e-9
+        if look:
+            self._scan_at += 1.0 / world.lidar.spec.rate
+        pose = (self._correction @ Transform.planar(*odometry.tolist())).pose
+        return self._senses(command, look, pose)
 
 
 @dataclass(frozen=True)
@@ -145,70 +168,36 @@ class DriveSimulation:
         engine: str = "pybullet",
         robot: str = DEFAULT_ROBOT,
     ) -> None:
-        self._robot = find_robot(robot)
-        self.limits = limits or limits_of(self._robot)
-        self._options = NavigatorOptions(inline=True)
+        mounted, options = find_robot(robot), NavigatorOptions(inline=True)
+        self.limits = limits or limits_of(mounted)
         settings = SimulationOptions(odom_drift=errors.drift, engine=engine)
         task = NavigationTask.model_validate(task_content(map_file, pose, robot))
-        self.world = SimulatedWorld(task, seed, options=settings)
-        self.navigator = Navigator(self.limits, self._options)
+        self.world, self._period = SimulatedWorld(task, seed, options=settings), options.period
+        self.navigator = Navigator(self.limits, options)
         self.navigator.set_map(OccupancyMap.load(map_file))
-        self.localiser = LocalisedPose(self.world, errors, np.random.default_rng((seed, 7)))
-        stop = ObstacleStop(self._robot.radius, _MARGIN, self._robot.plan.braking, _REACTION)
-        reach = stop.radius + stop.margin + abs(self._robot.lidar.x) + stop.reach(_FASTER * self._robot.speed, 0.5)
-        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, self._robot.lidar.x, reach)
-        self._echoes = np.empty((0, 2))
-        self._scan_pose, self._scan_at = self.localiser.odometry(), 0.0
-        self.trace: list[Array] = []
+        self._driver = NavigatorDriver(self.navigator, mounted.lidar.x)
+        self.robot = LocalisedRobot(self.world, errors, np.random.default_rng((seed, 7)), options.period)
+        stop = ObstacleStop(mounted.radius, _MARGIN, mounted.plan.braking, _REACTION)
+        reach = stop.radius + stop.margin + abs(mounted.lidar.x) + stop.reach(_FASTER * mounted.speed, 0.5)
+        self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, mounted.lidar.x, reach)
 
     def drive(self, goal: Goal, longest: float) -> Drive:
         """Drive to a goal, for at most `longest` seconds."""
-        world, rate = self.world, self.world.options.rate
-        begin, waited, solves = world.elapsed, 0.0, self.navigator.solves
-        self.navigator.set_goal(goal)
-        period = round(self._options.period * rate)
-        next_scan = world.elapsed
-        state, collided = NavigatorState.WAITING, False
-        while world.elapsed - begin < longest:
-            pose = self.localiser.pose()
-            if world.elapsed >= next_scan - 1e-9:
-                next_scan += 1.0 / world.lidar.spec.rate
-                self._look(pose)
-            decision = self._step(pose)
-            state = decision.state
-            waited += self._options.period * (not decision.command.any())
-            if state in _ENDED and abs(world.velocity()[0]) < 0.01:
-                break
-            world.step(period)
-            if world.episode().clearance <= 0.0:
-                collided = True
-                break
-        distance = math.dist(world.pose()[:2], goal.position)
-        return Drive(state, collided, world.elapsed - begin, distance, waited, self.navigator.solves - solves)
+        world, navigator, driver = self.world, self.navigator, self._driver
+        begin, waited, solves = world.elapsed, 0.0, navigator.solves
 
-    def _look(self, pose: Array) -> None:
-        """Take a scan."""
-        scan = self.world.laser_scan()
-        now = self.world.elapsed
-        forward, _, turn = self.world.odometry().velocity
-        self._safety.update(now, round(1e9 * now), "scan", scan.ranges, scan.geometry, (forward, turn))
-        self._echoes = view_scan(scan.ranges, scan.geometry, math.inf, self._robot.lidar.x).points
-        self._scan_pose, self._scan_at = self.localiser.odometry(), now
-        self.navigator.see(now, pose, self._echoes)
+        def decide(sensors: Sensors) -> Array:
+            nonlocal waited
+            command = driver.command(sensors)
+            waited += self._period * (not command.any())
+            return command
 
-    def _step(self, pose: Array) -> Decision:
-        """Send one command."""
-        now = self.world.elapsed
-        since = compose(inverse(self.localiser.odometry()), self._scan_pose)
-        decision = self.navigator.decide(now, pose, move(self._echoes, since))
-        try:
-            command, _ = self._safety.limit(decision.command, self.world.odometry().velocity[0], now - self._scan_at)
-        except ScanError:
-            command = np.zeros(2)
-        self.navigator.sent(command)
-        self.world.command(0, command)
-        self.trace.append(self.world.pose())
-        return decision
+        navigator.set_goal(goal)
+        self.robot.begin(longest, lambda: driver.decision.state in _ENDED)
+        (episode,) = drive(self.robot, FunctionDriver(decide), self._safety, seeds=(world.seed,))
+        distance, seconds = math.dist(world.pose()[:2], goal.position), world.elapsed - begin
+        state, collided = driver.decision.state, episode.info["collided"]
+        return Drive(state, collided, seconds, distance, waited, navigator.solves - solves)
 
     def close(self) -> None:
         """Give the physics client back."""
