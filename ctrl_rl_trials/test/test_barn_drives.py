@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from barn_files import write_checkout
-from ctrl_rl_trials.barn.controllers import CONTROLLERS, JACKAL, SafetyCheck
-from ctrl_rl_trials.barn.drive import BarnDrive, Sensed, drive
+from ctrl_rl_trials.barn.controllers import CONTROLLERS, JACKAL, safety_check
+from ctrl_rl_trials.barn.drive import BarnDrive, drive
 from ctrl_rl_trials.barn.dynamic_window import DynamicWindow
 from ctrl_rl_trials.barn.scenarios import Scenario, load_scenario
 from ctrl_rl_trials.cli.barn import barn
 
-from ctrl_rl_core import exclusive_lock
+from ctrl_rl_core import Sensors, exclusive_lock
 from sim_bridge import SimulationOptions
 
 PLANAR = SimulationOptions(engine="planar", odom_drift=0.01)
@@ -36,12 +36,9 @@ class Straight:
     def __init__(self, speed: float) -> None:
         self._speed = speed
 
-    def decide(self, sensed: Sensed) -> np.ndarray:
-        assert sensed.points.shape[1] == 2
+    def command(self, sensors: Sensors) -> np.ndarray:
+        assert sensors.age == 0.0
         return np.array((self._speed, 0.0))
-
-    def sent(self, command: np.ndarray) -> None:
-        pass
 
 
 @pytest.mark.parametrize("name", ["explorer", "navigator"])
@@ -58,7 +55,7 @@ def test_the_filter_stops_who_drives_into_the_posts(scenario: Scenario, monkeypa
     crash = drive(scenario, Straight(1.0), None, 0, PLANAR)
     assert (crash.end, crash.score()) == ("collision", 0.0)
     assert crash.seconds == pytest.approx(2.6, abs=0.3)
-    safe = drive(scenario, Straight(1.0), SafetyCheck(0.0), 0, PLANAR)
+    safe = drive(scenario, Straight(1.0), safety_check(0.0), 0, PLANAR)
     assert safe.end == "time-out"
     assert 7.0 < safe.distance < 8.0
 

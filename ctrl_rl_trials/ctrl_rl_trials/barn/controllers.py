@@ -8,23 +8,28 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions
-from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions
-from ctrl_rl_navigation.driving.navigator import Navigator
-from ctrl_rl_navigation.driving.scan_map import ScanMap
+from ctrl_rl_core.sensing import echoes, measured
+from ctrl_rl_navigation.driving import (
+    Explorer,
+    ExplorerOptions,
+    Goal,
+    Navigator,
+    NavigatorDriver,
+    NavigatorOptions,
+    ScanMap,
+)
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
-from ctrl_rl_navigation.values.map_solver import MapSolver
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
-from ctrl_rl_safety.filter.verdict import FilterOptions, Reading
-from ctrl_rl_safety.models.robot_model import find_model
+from ctrl_rl_safety.filter import SensorFilter
 from numpy.typing import NDArray
-from sim_bridge.simulation.occupancy import draw_map
+from sim_bridge.simulation import draw_map
 
-from ctrl_rl_core import find_robot
-from ctrl_rl_trials.barn.drive import LIDAR_X, PERIOD, Controller, Sensed
+from ctrl_rl_core import Driver, Sensors, find_robot
+from ctrl_rl_navigation import MapSolver
+from ctrl_rl_safety import FilterOptions, SafetyFilter, find_model
+from ctrl_rl_trials.barn.drive import LIDAR_X, PERIOD
 from ctrl_rl_trials.barn.dynamic_window import DynamicWindow
-from ctrl_rl_trials.barn.policy_driver import PolicyDriver
+from ctrl_rl_trials.barn.policy_driver import TransplantedPolicy
 from ctrl_rl_trials.barn.scenarios import Scenario
 
 Array = NDArray[np.float64]
@@ -65,32 +70,20 @@ class ExplorerDriver:
         options = ExplorerOptions(tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION)
         self._explorer = Explorer(limits, np.array(scenario.start), scenario.goal, options)
 
-    def decide(self, sensed: Sensed) -> Array:  # noqa: D102 - see Controller
-        self._explorer.see(sensed.now, *_placed(sensed))
-        return self._explorer.decide(sensed.now, sensed.pose)
+    def command(self, sensors: Sensors) -> Array:  # noqa: D102 - see Driver
+        assert sensors.pose is not None, "odometry is the pose"
+        self._explorer.sent(sensors.command)
+        self._explorer.see(sensors.time, *_placed(sensors))
+        return self._explorer.decide(sensors.time, sensors.pose)
 
-    def sent(self, command: Array) -> None:  # noqa: D102
-        self._explorer.sent(command)
 
-
-class NavigatorDriver:
-    """The navigator with a map of the world, on which it is where odometry says."""
-
-    def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
-        options = NavigatorOptions(
-            tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION, inline=True
-        )
-        self._navigator = Navigator(limits, options)
-        self._navigator.set_map(draw_map(scenario.task, scenario.task.build_world()))
-        self._navigator.set_goal(Goal(scenario.goal))
-
-    def decide(self, sensed: Sensed) -> Array:  # noqa: D102
-        near = sensed.points[np.hypot(*sensed.points.T) < REACH]
-        self._navigator.see(sensed.now, sensed.pose, near)
-        return self._navigator.decide(sensed.now, sensed.pose, near).command
-
-    def sent(self, command: Array) -> None:  # noqa: D102
-        self._navigator.sent(command)
+def navigator_driver(scenario: Scenario, limits: DriveLimits) -> NavigatorDriver:
+    """Return the navigator with a map of the world, on which it is where odometry says."""
+    options = NavigatorOptions(tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION, inline=True)
+    navigator = Navigator(limits, options)
+    navigator.set_map(draw_map(scenario.task, scenario.task.build_world()))
+    navigator.set_goal(Goal(scenario.goal))
+    return NavigatorDriver(navigator, LIDAR_X, REACH)
 
 
 class DynamicWindowDriver:
@@ -102,18 +95,20 @@ class DynamicWindowDriver:
         self._path = np.array((scenario.start[:2], scenario.goal))
         self._planned_at = -math.inf
 
-    def decide(self, sensed: Sensed) -> Array:  # noqa: D102
-        self._map.see(*_placed(sensed))
-        if sensed.now - self._planned_at >= _PLAN_PERIOD:
-            self._planned_at = sensed.now
-            self._plan(sensed.pose)
-        x, y, theta = sensed.pose
+    def command(self, sensors: Sensors) -> Array:  # noqa: D102 - see Driver
+        assert sensors.pose is not None, "odometry is the pose"
+        self._map.see(*_placed(sensors))
+        if sensors.time - self._planned_at >= _PLAN_PERIOD:
+            self._planned_at = sensors.time
+            self._plan(sensors.pose)
+        x, y, theta = sensors.pose
         nearest = int(np.argmin(np.hypot(*(self._path - (x, y)).T)))
         rest = self._path[nearest:]
         ahead = rest[np.hypot(*(rest - (x, y)).T) >= _CARROT]
         dx, dy = (ahead[0] if len(ahead) else self._goal) - (x, y)
         c, s = math.cos(theta), math.sin(theta)
-        return self._window.choose(np.array((c * dx + s * dy, c * dy - s * dx)), sensed.motion, sensed.points)
+        points = echoes(sensors.ranges, sensors.scan, math.inf, LIDAR_X)
+        return self._window.choose(np.array((c * dx + s * dy, c * dy - s * dx)), np.array(sensors.speeds), points)
 
     def _plan(self, pose: Array) -> None:
         """Plan the path anew; where there is none, the old one stays."""
@@ -126,44 +121,30 @@ class DynamicWindowDriver:
         if len(path) > 1:
             self._path = path
 
-    def sent(self, command: Array) -> None:
-        """Do nothing: the window is around the measured motion."""
 
-
-def _placed(sensed: Sensed) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _placed(sensors: Sensors) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the lidar's place (2,) and the ends of its beams (n, 2) in odometry's frame [m], and which have echoes."""
-    x, y, theta = sensed.pose
+    assert sensors.pose is not None, "odometry is the pose"
+    x, y, theta = sensors.pose
     c, s = math.cos(theta), math.sin(theta)
-    beams = sensed.ends - (LIDAR_X, 0.0)
-    ranges = np.hypot(*beams.T)
-    ends = (LIDAR_X, 0.0) + beams * np.minimum(1.0, REACH / np.maximum(ranges, 1e-6))[:, None]
-    placed = np.column_stack((x + c * ends[:, 0] - s * ends[:, 1], y + s * ends[:, 0] + c * ends[:, 1]))
-    return np.array((x + c * LIDAR_X, y + s * LIDAR_X)), placed, sensed.echoes & (ranges < REACH)
+    ranges, scan = measured(sensors.ranges, sensors.scan), sensors.scan
+    bearings = scan.angle_min + scan.angle_increment * np.arange(scan.beams)
+    reached = np.minimum(np.nan_to_num(ranges, nan=0.0), min(REACH, scan.range_max))
+    ahead, aside = LIDAR_X + reached * np.cos(bearings), reached * np.sin(bearings)
+    placed = np.column_stack((x + c * ahead - s * aside, y + s * ahead + c * aside))
+    return np.array((x + c * LIDAR_X, y + s * LIDAR_X)), placed, ranges < REACH
 
 
-class SafetyCheck:
-    """The safety filter with the Jackal's model, whose set is solved ten times a second; a `Filter`."""
-
-    def __init__(self, mover_speed: float) -> None:
-        self._solved_at = -math.inf
-        self._filter = SafetyFilter(find_model("jackal"), FilterOptions(period=PERIOD, mover_speed=mover_speed))
-
-    def __call__(self, sensed: Sensed, command: Array) -> Array:
-        """Return the certified command nearest to a raw one (2,)."""
-        self._filter.see(sensed.now, sensed.pose, sensed.points)
-        if sensed.now - self._solved_at >= _SET_PERIOD - 1e-6:
-            self._solved_at = sensed.now
-            self._filter.use(self._filter.solve())
-        reading = Reading(sensed.pose, float(sensed.motion[0]), float(sensed.motion[1]))
-        verdict = self._filter.decide(sensed.now, reading, command)
-        self._filter.sent(sensed.now, verdict.command)
-        return verdict.command
+def safety_check(mover_speed: float) -> SensorFilter:
+    """Return the safety filter with the Jackal's model, whose set is solved ten times a second."""
+    options = FilterOptions(period=PERIOD, mover_speed=mover_speed)
+    return SensorFilter(SafetyFilter(find_model("jackal"), options), LIDAR_X, _SET_PERIOD)
 
 
-CONTROLLERS: Mapping[str, Callable[[Scenario, DriveLimits], Controller]] = {
+CONTROLLERS: Mapping[str, Callable[[Scenario, DriveLimits], Driver[Sensors]]] = {
     "explorer": ExplorerDriver,
-    "navigator": NavigatorDriver,
+    "navigator": navigator_driver,
     "dynamic_window": DynamicWindowDriver,
-    **{name: partial(PolicyDriver, name) for name in ("curved_corridor", "car_ttr", "car_navigation")},
+    **{name: partial(TransplantedPolicy, name) for name in ("curved_corridor", "car_ttr", "car_navigation")},
 }
 """Makers of controllers by name; the last three are policies of the suite."""

@@ -1,19 +1,19 @@
-"""One drive of the benchmark: the simulator, what the robot senses, a controller, and a filter below it."""
+"""One drive of the benchmark: the simulator, a driver, and a filter below it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
+from ctrl_rl_core.driving import drive as loop
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Outcome, ScanGeometry, find_robot
+from ctrl_rl_core import Driver, Filter, Outcome, Sensors, find_robot
 from ctrl_rl_trials.barn.scenarios import LIMIT, Scenario
 from ctrl_rl_trials.barn.score import LOW, score
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import SimulatedRobot, SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
 
@@ -28,48 +28,6 @@ _AROUND = 0.5
 """A drive counts as timed out where the robot stays so long [s] within such a distance [m] of a place."""
 _STANDS = 0.05
 """Speed below which a robot stands [m/s]."""
-
-
-@dataclass(frozen=True)
-class Sensed:
-    """What the robot knows in one control period.
-
-    Attributes:
-        now: Time since the start [s].
-        pose: Pose by odometry, in whose frame the goal is given (3,) [m, m, rad].
-        motion: Speed and turn rate by odometry (2,) [m/s, rad/s].
-        ranges: Ranges of the scan (beams,) [m].
-        geometry: Bearings and limits of the scan.
-        ends: Ends of the beams in the robot's frame (beams, 2) [m]; those without an echo end at the largest range.
-        echoes: Which beams met something (beams,).
-    """
-
-    now: float
-    pose: Array
-    motion: Array
-    ranges: NDArray[np.float32]
-    geometry: ScanGeometry
-    ends: Array
-    echoes: NDArray[np.bool_]
-
-    @property
-    def points(self) -> Array:
-        """Echoes in the robot's frame, in the order of their beams (n, 2) [m]."""
-        return self.ends[self.echoes]
-
-
-class Controller(Protocol):
-    """Drives one robot to one goal."""
-
-    def decide(self, sensed: Sensed) -> Array:
-        """Return speed and turn rate to send (2,) [m/s, rad/s]."""
-
-    def sent(self, command: Array) -> None:
-        """Note what was sent in the end (2,)."""
-
-
-Filter = Callable[[Sensed, Array], Array]
-"""Returns the command to send in place of a raw one."""
 
 
 End = Literal["goal", "collision", "hit", "time-out"]
@@ -99,10 +57,55 @@ class BarnDrive:
         return score(self.end == "goal", self.seconds, self.length, low)
 
 
+class BarnRobot:
+    """The robot of a scenario in Gymnasium's form: it is cut where it stays at a place, or when its time is over.
+
+    Attributes:
+        trace: x, y, theta and the command of each period (5,).
+    """
+
+    def __init__(self, scenario: Scenario, world: SimulatedWorld) -> None:
+        self.trace: list[Array] = []
+        self._scenario, self._world, self._robot = scenario, world, SimulatedRobot(world, PERIOD)
+        self._begun, self._last, self._last_at = math.nan, world.pose(), 0.0
+
+    def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
+        """Begin the episode of a seed."""
+        out = self._robot.reset(seed=seed)
+        self._begun, self._last, self._last_at = math.nan, self._world.pose(), 0.0
+        return out
+
+    def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
+        """Hold a command (2,) for a period."""
+        self.trace.append(np.concatenate((self._world.pose(), command)))
+        sensors, reward, terminated, truncated, info = self._robot.step(command)
+        if not (terminated or truncated):
+            now, place = self._world.elapsed, self._world.pose()
+            if math.isnan(self._begun) and math.dist(place[:2], self._scenario.start[:2]) >= _MOVED:
+                self._begun = now
+            if math.dist(place[:2], self._last[:2]) >= _AROUND:
+                self._last, self._last_at = place, now
+            truncated = now - self._last_at >= _PATIENCE or now - self._begun >= LIMIT
+        return sensors, reward, terminated, truncated, info
+
+    def ended(self) -> BarnDrive:
+        """Return the end of the drive."""
+        scenario, world, episode = self._scenario, self._world, self._world.episode()
+        running = episode.outcome is Outcome.RUNNING or math.isnan(self._begun)
+        seconds = LIMIT if running else round(world.elapsed - self._begun, 3)
+        end: End = "time-out"
+        if episode.outcome is Outcome.COLLISION:
+            end = "hit" if episode.contact is not None and episode.contact.speed < _STANDS else "collision"
+        elif episode.outcome is Outcome.GOAL and seconds <= LIMIT:
+            end = "goal"
+        distance = math.dist(world.pose()[:2], scenario.goal)
+        return BarnDrive(scenario.number, end, seconds, round(scenario.length, 3), round(distance, 3))
+
+
 def drive(
     scenario: Scenario,
-    controller: Controller,
-    check: Filter | None,
+    driver: Driver[Sensors],
+    check: Filter[Sensors] | None,
     seed: int,
     options: SimulationOptions,
     trace: list[Array] | None = None,
@@ -111,7 +114,7 @@ def drive(
 
     Args:
         scenario: World to drive in.
-        controller: Controller that has not driven yet.
+        driver: Driver that has not driven yet.
         check: Filter below it; None for none.
         seed: Seed of noise and drift.
         options: Settings of the simulation.
@@ -119,47 +122,10 @@ def drive(
     """
     world = SimulatedWorld(scenario.task, seed, options=options)
     try:
-        steps, begin = round(PERIOD * world.options.rate), math.nan
-        last, last_at = world.pose(), 0.0
-        while world.episode().outcome is Outcome.RUNNING:
-            place = world.pose()
-            if math.isnan(begin) and math.dist(place[:2], scenario.start[:2]) >= _MOVED:
-                begin = world.elapsed
-            if math.dist(place[:2], last[:2]) >= _AROUND:
-                last, last_at = place, world.elapsed
-            if world.elapsed - last_at >= _PATIENCE or world.elapsed - begin >= LIMIT:
-                break
-            sensed = _sense(world)
-            command = controller.decide(sensed)
-            command = command if check is None else check(sensed, command)
-            controller.sent(command)
-            world.command(0, command)
-            if trace is not None:
-                trace.append(np.concatenate((place, command)))
-            world.step(steps)
-        return _ended(scenario, world, begin)
+        robot = BarnRobot(scenario, world)
+        loop.drive(robot, driver, check, seeds=(seed,))
+        if trace is not None:
+            trace += robot.trace
+        return robot.ended()
     finally:
         world.close()
-
-
-def _ended(scenario: Scenario, world: SimulatedWorld, begin: float) -> BarnDrive:
-    episode = world.episode()
-    running = episode.outcome is Outcome.RUNNING or math.isnan(begin)
-    seconds = LIMIT if running else round(world.elapsed - begin, 3)
-    end: End = "time-out"
-    if episode.outcome is Outcome.COLLISION:
-        end = "hit" if episode.contact is not None and episode.contact.speed < _STANDS else "collision"
-    elif episode.outcome is Outcome.GOAL and seconds <= LIMIT:
-        end = "goal"
-    distance = math.dist(world.pose()[:2], scenario.goal)
-    return BarnDrive(scenario.number, end, seconds, round(scenario.length, 3), round(distance, 3))
-
-
-def _sense(world: SimulatedWorld) -> Sensed:
-    scan, reading = world.laser_scan(), world.odometry()
-    bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-    ranges = np.nan_to_num(scan.ranges.astype(float), nan=0.0, posinf=scan.range_max, neginf=scan.range_min)
-    ends = np.column_stack((LIDAR_X + ranges * np.cos(bearings), ranges * np.sin(bearings)))
-    echoes = np.isfinite(scan.ranges) | np.isneginf(scan.ranges)
-    motion = reading.velocity[[0, 2]]
-    return Sensed(world.elapsed, reading.pose, motion, scan.ranges, scan.geometry, ends, echoes)

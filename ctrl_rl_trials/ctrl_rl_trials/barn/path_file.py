@@ -6,7 +6,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes
+from ctrl_rl_core.io import FileError, raise_as, read_bytes
 from numpy.typing import NDArray
 
 from ctrl_rl_trials.errors import TrialError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_trials.barn.controllers import CONTROLLERS, FILTERED_JACKAL, JACKAL, SafetyCheck
+from ctrl_rl_trials.barn.controllers import CONTROLLERS, FILTERED_JACKAL, JACKAL, safety_check
 from ctrl_rl_trials.barn.drive import BarnDrive, drive
 from ctrl_rl_trials.barn.scenarios import load_scenario
 from sim_bridge import SimulationOptions
@@ -49,6 +49,6 @@ def make(plan: PlannedDrive) -> tuple[PlannedDrive, BarnDrive]:
         TrialError: The world cannot be read.
     """
     scenario = load_scenario(plan.folder, plan.world)
-    check = SafetyCheck(_MOVERS if scenario.task.movers else 0.0) if plan.filtered else None
+    check = safety_check(_MOVERS if scenario.task.movers else 0.0) if plan.filtered else None
     controller = CONTROLLERS[plan.controller](scenario, FILTERED_JACKAL if plan.filtered else JACKAL)
     return plan, drive(scenario, controller, check, _SEEDS * plan.seed + plan.world, plan.settings)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes
+from ctrl_rl_core.io import FileError, raise_as, read_bytes
 
 from ctrl_rl_trials.errors import TrialError
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from ctrl_rl_core.io.results import read_experiment, results_lock
+from ctrl_rl_core.io import read_experiment, results_lock
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ctrl_rl_core import Result, write_results

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from ctrl_rl_core.io.file_checks import FileError, as_text, raise_as, read_bytes
+from ctrl_rl_core.io import FileError, as_text, raise_as, read_bytes
 
 from ctrl_rl_core import Box, Disc
 from ctrl_rl_trials.errors import TrialError
