@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ctrl_rl_core.systems.registry import find_model
-from ctrl_rl_learning.sb3.algorithms import extract_actor, make_algorithm
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet
+from ctrl_rl_learning.sb3 import FleetEnvironments, evaluate_in_fleet, extract_actor, make_algorithm
 from oc_baseline_node.problems.extraction import extract
 from ttr_reward_node.rewards.progress import TimeToReach
 

@@ -37,23 +37,21 @@ def assert_clean(drawn):
 
 
 def read(name, kind):
-    from ctrl_rl_learning.study.results import read_figures
+    from ctrl_rl_learning.study import read_figures
 
     return read_figures(RESULTS / f"{name}.json", kind)
 
 
 @pytest.mark.parametrize("learner", ["ppo", "sac"])
 def test_the_ladder(drawn, tmp_path, learner):
-    from ctrl_rl_trials.ladder.plots import draw_ladder
-    from ctrl_rl_trials.ladder.results import LadderFigures
+    from ctrl_rl_trials.ladder import LadderFigures, draw_ladder
 
     assert len(draw_ladder(read("ladder", LadderFigures), learner, tmp_path)) == 2
     assert_clean(drawn)
 
 
 def test_the_tasks_of_the_ladder(drawn, tmp_path):
-    from ctrl_rl_trials.ladder.page import draw_pages
-    from ctrl_rl_trials.ladder.task_list import LADDER, load_ladder_task
+    from ctrl_rl_trials.ladder import LADDER, draw_pages, load_ladder_task
 
     list(draw_pages([load_ladder_task(name) for name in LADDER], tmp_path / "tasks.png"))
     assert_clean(drawn)
@@ -149,10 +147,9 @@ def test_cost_of_the_solver(drawn, tmp_path):
 
 
 def test_a_drive_and_a_team(drawn, tmp_path):
-    from ctrl_rl_bringup.corridor.surroundings import FilterRecord
-    from ctrl_rl_bringup.corridor.surroundings import MoverTrack
     from ctrl_rl_bringup.corridor.plot import draw_drive
     from ctrl_rl_bringup.corridor.report import DriveReport
+    from ctrl_rl_bringup.corridor.surroundings import FilterRecord, MoverTrack
     from ctrl_rl_bringup.team.plot import draw_team
     from ctrl_rl_bringup.team.report import TeamRun
     from ctrl_rl_bringup.team.run import TeamConfig

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ctrl_rl_core.processes.ray_workers import map_in_ray
-from ctrl_rl_learning.study.matrix import run_experiments
-from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study import RunOptions, run_experiments
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
 
 from ctrl_rl_core import WorkersError, load_navigation_task

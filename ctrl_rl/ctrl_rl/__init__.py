@@ -17,8 +17,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ctrl_rl_learning.offline.data.recorded import read_drives as transitions  # noqa: F401
-    from ctrl_rl_learning.offline.learners.from_drives import learn_from_drives as learn_offline  # noqa: F401
+    from ctrl_rl_learning.offline import learn_from_drives as learn_offline  # noqa: F401
+    from ctrl_rl_learning.offline import read_drives as transitions  # noqa: F401
     from ctrl_rl_safety.trials.driving import drive as drive
     from ttr_reward_node.training.learn import train as train
 
@@ -48,14 +48,14 @@ _NAMES = {
     "TimeToReachVectorReward": "ttr_reward_node:TimeToReachVectorReward",
     "drive": "ctrl_rl_safety.trials.driving:drive",
     "find_model": "ctrl_rl_safety:find_model",
-    "learn_offline": "ctrl_rl_learning.offline.learners.from_drives:learn_from_drives",
+    "learn_offline": "ctrl_rl_learning.offline:learn_from_drives",
     "load_policy": "ctrl_rl_core:load_policy",
     "load_task": "ctrl_rl_core:load_task",
     "load_value": "ttr_reward_node:load_value",
     "make_system": "ctrl_rl_core:make_system",
     "solve": "ttr_reward_node:solve_value",
     "train": "ttr_reward_node.training.learn:train",
-    "transitions": "ctrl_rl_learning.offline.data.recorded:read_drives",
+    "transitions": "ctrl_rl_learning.offline:read_drives",
 }
 _EXTRAS = {
     "casadi": "mpc",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.checked_json import with_digest
+from ctrl_rl_core.io import with_digest
 from ctrl_rl_learning.cli.export import export
 from test_evaluation import write
 

@@ -8,7 +8,7 @@ import pytest
 from ctrl_rl_core import load_navigation_task
 
 pytest.importorskip("stable_baselines3")
-from ctrl_rl_learning.sb3.algorithms import make_algorithm
+from ctrl_rl_learning.sb3 import make_algorithm
 from ctrl_rl_safety.training import ShieldOptions, ToldPPO, shielded_environment
 from ctrl_rl_safety.training.runs import AttackRun, ShieldRun
 from ctrl_rl_safety.trials.episodes import CAR

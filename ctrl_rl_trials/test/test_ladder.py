@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.results import read_experiment
+from ctrl_rl_core.io import read_experiment
 from ctrl_rl_trials.ladder.results import read_curves, write
 from ctrl_rl_trials.ladder.runs import LadderRun
 from ctrl_rl_trials.ladder.task_list import LADDER, PRACTICE, load_ladder_task
@@ -12,7 +12,7 @@ from ctrl_rl_trials.shaping import baseline, demonstrations
 from ctrl_rl_trials.shaping.variants import WAYS
 from hypothesis import given
 from hypothesis import strategies as st
-from ttr_reward_node.rewards.progress import PER_SECOND, BestProgress, Progress, Shaping
+from ttr_reward_node.rewards import PER_SECOND, BestProgress, Progress, Shaping
 
 from ctrl_rl_core import Result, ResultsError, task_digest
 from sim_bridge import SimulatedWorld, SimulationOptions

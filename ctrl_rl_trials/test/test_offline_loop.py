@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_learning.offline.data.values import _solvable
+from ctrl_rl_learning.offline import solvable
 from ctrl_rl_trials.offline.closed_loop import LoopSettings, run_loop
 from ctrl_rl_trials.offline.correlation import agreements
 
@@ -27,7 +27,7 @@ def test_agreement_counts_order_and_what_the_choice_loses() -> None:
 
 def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path: Path) -> None:
     (tmp_path / "values").mkdir()
-    problem = problem_from_task(_solvable(TASK), counts=(31, 31, 18), inflation=TASK.robot.radius)
+    problem = problem_from_task(solvable(TASK), counts=(31, 31, 18), inflation=TASK.robot.radius)
     solve(problem).grid.save(tmp_path / "values" / f"car_navigation-{task_digest(TASK)[:12]}.safetensors")
     settings = LoopSettings("value_weight", rounds=1, episodes=12, tests=3, updates=30, fit_updates=20, clearance=0.0)
     said: list[str] = []

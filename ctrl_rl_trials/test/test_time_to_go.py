@@ -6,11 +6,10 @@ from ctrl_rl_trials.ladder.runs import ladder_runs
 from ctrl_rl_trials.ladder.task_list import load_ladder_task
 from ctrl_rl_trials.shaping import time_to_go
 from ctrl_rl_trials.shaping.time_to_go import TimeToGo, find_or_solve_trajectories
-from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import NavigationTask
 from oc_baseline_node import OcError
-from ttr_reward_node import problem_from_task, solve
+from ttr_reward_node import TimeToReach, problem_from_task, solve
 
 TASK = load_ladder_task("practice_corner")
 

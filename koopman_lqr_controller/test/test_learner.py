@@ -13,10 +13,7 @@ import pytest
 import torch
 from ctrl_rl_core.io.checked_json import read_json
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.study.matrix import run_experiments
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.run_folder import result_file
-from ctrl_rl_learning.study.trainer import train
+from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest, load_policy

@@ -7,12 +7,9 @@ from contextlib import suppress
 import gymnasium
 import numpy as np
 import pytest
-from ctrl_rl_learning.sb3 import algorithms
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments
-from ctrl_rl_learning.sb3.state_visitation import Visits
-from ctrl_rl_learning.study.results import samples_to
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.trainer import train as train_run
+from ctrl_rl_learning.sb3 import FleetEnvironments, Visits, algorithms
+from ctrl_rl_learning.study import RunOptions, samples_to
+from ctrl_rl_learning.study import train as train_run
 from ttr_reward_node.cli import learning
 from ttr_reward_node.rewards.progress import PER_SECOND, TimeToReach
 from ttr_reward_node.training.cli import plot, train

@@ -7,6 +7,7 @@ from .checked_json import parse_json as parse_json
 from .checked_json import read_json as read_json
 from .checked_json import with_digest as with_digest
 from .checked_png import check_png as check_png
+from .checked_tensors import TYPES as TYPES
 from .checked_tensors import Tensors as Tensors
 from .checked_tensors import encode_tensors as encode_tensors
 from .checked_tensors import kind_of as kind_of
@@ -20,6 +21,7 @@ from .file_checks import raise_as as raise_as
 from .file_checks import read_bytes as read_bytes
 from .file_checks import short_path as short_path
 from .file_checks import short_repr as short_repr
+from .results import add_results as add_results
 from .results import as_lines as as_lines
 from .results import read_experiment as read_experiment
 from .results import results_lock as results_lock

@@ -6,3 +6,4 @@ from .ray_workers import map_in_ray as map_in_ray
 from .ray_workers import require_ray as require_ray
 from .signals import handle_signals as handle_signals
 from .signals import interrupt_once as interrupt_once
+from .workers import CONTEXT as CONTEXT

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ctrl_rl_bags.datasets.options import print_note
+from ctrl_rl_bags.datasets import print_note
 from ctrl_rl_core.command import OptionalFileToWrite, Positive, make_command
 from tqdm import tqdm
 

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import tyro
 from ctrl_rl_core.command import FileToWrite
-from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io import raise_as, read_json
 
 from ctrl_rl_core import Actor, interface_of, task_digest
 from ctrl_rl_learning.errors import LearningError

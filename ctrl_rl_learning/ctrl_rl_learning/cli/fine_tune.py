@@ -19,7 +19,7 @@ from ctrl_rl_core.command import (
     parse_options,
     run_command,
 )
-from ctrl_rl_core.io.checked_json import with_digest
+from ctrl_rl_core.io import with_digest
 
 from ctrl_rl_core import Outcome, atomic_write, load_navigation_task, task_digest
 from ctrl_rl_learning.errors import LearningError

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_bags.datasets.options import TaskDriveOptions, print_note
+from ctrl_rl_bags.datasets import TaskDriveOptions, print_note
 from ctrl_rl_core.command import (
     FileToWrite,
     FolderToWrite,

@@ -6,16 +6,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
-from ctrl_rl_navigation.driving.look_ahead import LookAhead
+from ctrl_rl_core.navigation import FREE, OCCUPIED
+from ctrl_rl_navigation.driving import LookAhead
 from ctrl_rl_navigation.robot import DriveLimits, limits_of
-from ctrl_rl_navigation.values.map_solver import MapSolver
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ctrl_rl_core import ArcPath, NavigationTask, OccupancyMap, Robot, World
 from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_navigation import MapSolver
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sim_bridge.fleet.planar_fleet import RATE as FLEET_RATE
+from sim_bridge.fleet import RATE as FLEET_RATE
 
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_learning.errors import LearningError

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, raise_as
-from ctrl_rl_core.tasks.regions import ANGLES
+from ctrl_rl_core.io import FileError, encode_tensors, raise_as, read_tensors
+from ctrl_rl_core.tasks import ANGLES
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, atomic_write, position_indices

@@ -1,4 +1,6 @@
+from .command import ITERATION as ITERATION
 from .command import ExperimentOptions as ExperimentOptions
+from .command import NotNegative as NotNegative
 from .command import PlotOptions as PlotOptions
 from .command import Positive as Positive
 from .command import SimulatedOptions as SimulatedOptions
@@ -9,11 +11,14 @@ from .command import one_of as one_of
 from .command import read_training as read_training
 from .command import some_of as some_of
 from .command import train_and_collect as train_and_collect
+from .curves import Curves as Curves
 from .estimates import Estimate as Estimate
 from .estimates import estimate as estimate
 from .figure_data import DrivenPath as DrivenPath
 from .figure_data import Figures as Figures
 from .figure_data import ReturnCurve as ReturnCurve
+from .figure_data import Seeds as Seeds
+from .figure_data import SuccessCurve as SuccessCurve
 from .figure_data import ValueCurve as ValueCurve
 from .matrix import run_experiments as run_experiments
 from .results import Metric as Metric
@@ -24,10 +29,12 @@ from .results import finished_runs as finished_runs
 from .results import metric as metric
 from .results import metrics_of_speed as metrics_of_speed
 from .results import read_figures as read_figures
+from .results import samples_to as samples_to
 from .run import Point as Point
 from .run import Run as Run
 from .run import RunOptions as RunOptions
 from .run import Tell as Tell
 from .run import find_method as find_method
+from .run_folder import check_same as check_same
 from .run_folder import result_file as result_file
 from .trainer import train as train

@@ -19,11 +19,18 @@ from ctrl_rl_core.command import Positive as Positive
 from ctrl_rl_core.command import make_command as make_command
 from ctrl_rl_core.command import one_of as one_of
 from ctrl_rl_core.command import some_of as some_of
-from ctrl_rl_core.io.results import Result, ResultsError, write_results
 from ctrl_rl_core.old_names import make_old_command as make_old_command
-from ctrl_rl_core.tasks.schema.parts import TaskHeader
-from ctrl_rl_core.tasks.task import NavigationTask, load_navigation_task, task_digest, task_names
+from ctrl_rl_core.tasks import TaskHeader
 
+from ctrl_rl_core import (
+    NavigationTask,
+    Result,
+    ResultsError,
+    load_navigation_task,
+    task_digest,
+    task_names,
+    write_results,
+)
 from ctrl_rl_learning.study.run import Run, RunOptions
 
 if TYPE_CHECKING:

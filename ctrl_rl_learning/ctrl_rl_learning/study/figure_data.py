@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from ctrl_rl_core.io.schema import Name, Schema
+from ctrl_rl_core.io import Name, Schema
 from pydantic import ConfigDict, Field, model_validator
 
 Series = Annotated[list[float], Field(min_length=1, max_length=100_000)]

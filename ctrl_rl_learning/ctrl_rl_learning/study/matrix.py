@@ -12,8 +12,7 @@ from pathlib import Path
 from queue import Empty
 from typing import Any
 
-from ctrl_rl_core.processes.ray_workers import Tell, map_in_ray, require_ray
-from ctrl_rl_core.processes.workers import CONTEXT
+from ctrl_rl_core.processes import CONTEXT, Tell, map_in_ray, require_ray
 from tqdm import tqdm
 
 from ctrl_rl_core import exclusive_lock, map_in_processes

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.io.file_checks import FileError, raise_as
+from ctrl_rl_core.io import FileError, raise_as, read_json
 
 from ctrl_rl_core import Result, ResultsError
 from ctrl_rl_learning.study.figure_data import Figures

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.io.file_checks import one_line, raise_as, short_path
-from ctrl_rl_core.io.schema import Anything, Schema
+from ctrl_rl_core.io import Anything, Schema, one_line, raise_as, read_json, short_path
 from pydantic import ConfigDict, Field, field_validator
 
 from ctrl_rl_learning.errors import LearningError

@@ -14,8 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ctrl_rl_core.io.checked_json import with_digest
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io import raise_as, with_digest
 from pydantic import ValidationError
 
 from ctrl_rl_core import CtrlRlError, atomic_write

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_core.io.checked_tensors import TYPES, encode_tensors, read_tensors
+from ctrl_rl_core.io import TYPES, encode_tensors, read_tensors
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write

@@ -1,2 +1,10 @@
+from .decision import Goal as Goal
+from .decision import NavigatorOptions as NavigatorOptions
+from .explorer import Explorer as Explorer
+from .explorer import ExplorerOptions as ExplorerOptions
+from .look_ahead import LookAhead as LookAhead
+from .navigator import Navigator as Navigator
 from .navigator import warm_up as warm_up
+from .navigator_driver import NavigatorDriver as NavigatorDriver
 from .roll_out import choose as choose
+from .scan_map import ScanMap as ScanMap

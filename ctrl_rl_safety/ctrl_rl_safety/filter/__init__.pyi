@@ -1,1 +1,2 @@
+from .sensor_filter import SensorFilter as SensorFilter
 from .warming import warm_up as warm_up

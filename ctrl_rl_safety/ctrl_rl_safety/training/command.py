@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from ctrl_rl_core.command import FolderToWrite
-from ctrl_rl_learning.study.command import ExperimentOptions, Positive, make_command, some_of
-from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study import ExperimentOptions, Positive, RunOptions, make_command, some_of
 
 from ctrl_rl_core import Result, write_results
 
@@ -44,7 +43,7 @@ class Train(ExperimentOptions):
 
 def _train(options: Train) -> int:
     # Torch takes seconds to import: not before the arguments are right.
-    from ctrl_rl_learning.study.matrix import run_experiments
+    from ctrl_rl_learning.study import run_experiments
 
     from ctrl_rl_safety.training.runs import WAYS, AttackRun, ShieldRun
 
@@ -74,8 +73,8 @@ def collect(runs: Sequence[Any], results: Sequence[Any], folder: Path) -> tuple[
         results: Results of the runs.
         folder: Folder of the runs, in which the policies are.
     """
-    from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
-    from ctrl_rl_learning.study.results import curves_of, samples_to
+    from ctrl_rl_learning.sb3 import SUCCESS, evaluate
+    from ctrl_rl_learning.study import curves_of, samples_to
 
     from ctrl_rl_core import Actor
 

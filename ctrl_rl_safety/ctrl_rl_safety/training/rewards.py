@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_learning.sb3.environment import Environment, Vector
+from ctrl_rl_learning.sb3 import Environment, Vector
 
 from ctrl_rl_core import NavigationTask, Outcome
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ctrl_rl_learning.sb3.algorithms import make_algorithm
-from ctrl_rl_learning.sb3.environment import Environment
-from ctrl_rl_learning.sb3.training import SimulatedRun
+from ctrl_rl_learning.sb3 import Environment, SimulatedRun, make_algorithm
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from ctrl_rl_core import NavigationTask, load_navigation_task

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite, Positive, make_command
-from ctrl_rl_core.io.results import as_lines
+from ctrl_rl_core.io import as_lines
 
 from ctrl_rl_core import Result, load_navigation_task, write_results
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite
-from ctrl_rl_learning.study.command import (
+from ctrl_rl_learning.study import (
     ITERATION,
     ExperimentOptions,
     PlotOptions,
     Positive,
+    RunOptions,
     make_command,
     one_of,
     some_of,
 )
-from ctrl_rl_learning.study.run import RunOptions
 
 from ctrl_rl_trials.ladder.task_list import LADDER, load_ladder_task
 from ctrl_rl_trials.shaping.variants import BY_DEFAULT, LEARNERS, WAYS
@@ -58,7 +58,7 @@ class Plot(PlotOptions):
 def _train(options: Train) -> int:
     tasks = {name: load_ladder_task(name) for name in options.tasks or LADDER}
     # Torch takes seconds to import: not before the arguments are right.
-    from ctrl_rl_learning.study.matrix import run_experiments
+    from ctrl_rl_learning.study import run_experiments
 
     from ctrl_rl_trials.ladder.results import as_table, collect, read_curves, write
     from ctrl_rl_trials.ladder.runs import ladder_runs
@@ -93,7 +93,7 @@ def _train(options: Train) -> int:
 
 
 def _plot(options: Plot) -> int:
-    from ctrl_rl_learning.study.results import read_figures
+    from ctrl_rl_learning.study import read_figures
 
     from ctrl_rl_trials.ladder.plots import draw_ladder
     from ctrl_rl_trials.ladder.results import LadderFigures

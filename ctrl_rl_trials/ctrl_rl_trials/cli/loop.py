@@ -17,8 +17,8 @@ from ctrl_rl_core.command import (
     one_of,
     some_of,
 )
-from ctrl_rl_core.io.results import as_lines
-from ctrl_rl_learning.offline.learners.settings import METHODS
+from ctrl_rl_core.io import as_lines
+from ctrl_rl_learning.offline import METHODS
 
 from ctrl_rl_core import Result, load_navigation_task, write_results
 

@@ -16,7 +16,7 @@ from ctrl_rl_core.command import (
     one_of,
     some_of,
 )
-from ctrl_rl_core.io.results import as_lines
+from ctrl_rl_core.io import as_lines
 
 from ctrl_rl_core import Result, write_results
 from ctrl_rl_trials.errors import TrialError

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments
-from ttr_reward_node.rewards.progress import TimeToReach
+from ctrl_rl_learning.sb3 import FleetEnvironments
 
 from ctrl_rl_core import NavigationTask, Outcome, ValueFunction, draw_starts
+from ttr_reward_node import TimeToReach
 
 SAMPLES = 10_240
 """Samples of the untrained policy."""

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.io.results import add_results, results_lock
-from ctrl_rl_learning.study.figure_data import Figures, SuccessCurve
-from ctrl_rl_learning.study.results import (
+from ctrl_rl_core.io import add_results, results_lock
+from ctrl_rl_learning.study import (
+    Figures,
+    SuccessCurve,
     collect_rows,
     curves_of,
     finished_runs,

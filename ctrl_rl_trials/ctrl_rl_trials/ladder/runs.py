@@ -9,15 +9,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ctrl_rl_learning.sb3.algorithms import make_algorithm, number_of_environments
-from ctrl_rl_learning.sb3.environment import Environment, make_environment
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward
-from ctrl_rl_learning.sb3.training import SimulatedRun
-from ctrl_rl_learning.study.run import find_method
-from oc_baseline_node.training.baselines.policy_gradient import BaselinePolicy, CorrectedPolicy
+from ctrl_rl_learning.sb3 import (
+    Environment,
+    FleetEnvironments,
+    FleetReward,
+    SimulatedRun,
+    make_algorithm,
+    make_environment,
+    number_of_environments,
+)
+from ctrl_rl_learning.study import find_method
+from oc_baseline_node.training import BaselinePolicy, CorrectedPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from ttr_reward_node.rewards.progress import PAYS, PER_SECOND, Potential, PotentialReward, TimeToReach
-from ttr_reward_node.training.training import StateReward
+from ttr_reward_node.rewards import PAYS, PER_SECOND, Potential, PotentialReward
+from ttr_reward_node.training import StateReward
 
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.errors import TrialError
@@ -28,7 +33,7 @@ from ctrl_rl_trials.shaping.potential import DistanceInSeconds
 from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
 from ctrl_rl_trials.shaping.time_to_go import TimeToGo
 from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Way
-from ttr_reward_node import load_value, make_reward
+from ttr_reward_node import TimeToReach, load_value, make_reward
 
 
 @dataclass(frozen=True)

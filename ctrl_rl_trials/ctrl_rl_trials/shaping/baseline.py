@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE
-from ctrl_rl_learning.sb3.environment import observation_scales
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.sb3 import REWARD_SCALE, observation_scales
+from ctrl_rl_learning.torch import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import NavigationTask
+from ttr_reward_node import TimeToReach
 
 _STATES, _STEPS, _BATCH, _RATE = 8192, 600, 256, 1e-3
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.sb3 import FleetEnvironments
+from ctrl_rl_learning.torch import gradient_step
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import NavigationTask
+from ttr_reward_node import TimeToReach
 
 SAMPLES = 2048
 """Samples of demonstrations, which count as samples of the run."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import NavigationTask, Outcome
+from ttr_reward_node import TimeToReach
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.optimal_control import OptimalControlSpec
+from ctrl_rl_core.tasks import OptimalControlSpec
 from numpy.typing import NDArray
-from oc_baseline_node.problems.problem import TIME_STEP_RANGE, OptimalControlProblem, formulate
-from oc_baseline_node.value_data.dataset import DataSettings, ValueData, load_data
+from oc_baseline_node.problems import TIME_STEP_RANGE
 from scipy.spatial import KDTree
 
 from ctrl_rl_core import NavigationTask, Outcome, TaskSets, signed_distance
 from ctrl_rl_trials.shaping.variants import GAMMA
+from oc_baseline_node import DataSettings, OptimalControlProblem, ValueData, formulate, load_data
 
 Array = NDArray[np.float64]
 TRAJECTORIES = 300
@@ -67,7 +67,7 @@ def find_or_solve_trajectories(task: NavigationTask, folder: Path, workers: int 
         LockError: Another call works in the folder.
     """
     # CasADi is only needed here: whoever has the trajectories learns without it.
-    from oc_baseline_node.value_data.workers import make_data
+    from oc_baseline_node import make_data
 
     problem = pose(task)
     own = folder / f"{task.name}-{problem.digest[:12]}-mpc"

@@ -11,9 +11,9 @@ from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.io.checked_json import read_json
-from ctrl_rl_core.processes.children import start_child
-from ctrl_rl_safety.trials.episodes import CAR
+from ctrl_rl_core.io import read_json
+from ctrl_rl_core.processes import start_child
+from ctrl_rl_safety.trials import CAR
 
 from ctrl_rl_core import task_file
 from ctrl_rl_trials.errors import TrialError

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 from ctrl_rl_core.command import FolderToWrite
-from ctrl_rl_learning.study.command import Positive, make_command, make_old_command, one_of
+from ctrl_rl_learning.study import Positive, make_command, make_old_command, one_of
 
 from ctrl_rl_core import CommandError, write_results
 from koopman_lqr_controller.cli.run_options import CONSOLIDATION, LearningOptions, given_words
@@ -85,8 +85,7 @@ def _compare(options: Compare) -> int:
 
 
 def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, options: Compare) -> None:
-    from ctrl_rl_learning.study.matrix import run_experiments
-    from ctrl_rl_learning.study.results import as_table
+    from ctrl_rl_learning.study import as_table, run_experiments
 
     from koopman_lqr_controller.training.experiments.results import collect_comparison
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
 from ctrl_rl_core.io.results import results_lock, with_others
-from ctrl_rl_learning.study.command import NotNegative, Positive, make_command, make_old_command, one_of
+from ctrl_rl_learning.study import NotNegative, Positive, make_command, make_old_command, one_of
 
 from ctrl_rl_core import write_results
 from koopman_lqr_controller.cli.run_options import LearningOptions, as_command, given_words
@@ -85,8 +85,7 @@ def _learn(options: Train) -> int:
     problem = find_task(options.task)
     changes = tuple(sorted({**RECIPES[options.recipe], **dict(options.changes())}.items()))
     problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
-    from ctrl_rl_learning.study.matrix import run_experiments
-    from ctrl_rl_learning.study.run_folder import result_file
+    from ctrl_rl_learning.study import result_file, run_experiments
 
     from koopman_lqr_controller.training.experiments.last_curves import collect_curves, read_curves
     from koopman_lqr_controller.training.experiments.results import collect, collect_last

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
-from ctrl_rl_learning.study.command import ExperimentOptions, NotNegative, Positive
-from ctrl_rl_learning.study.run import RunOptions
+from ctrl_rl_learning.study import ExperimentOptions, NotNegative, Positive, RunOptions
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
+from ctrl_rl_learning.torch import ReplayBuffer
 from numpy.typing import NDArray
 
 _PREFIX = "replay."

@@ -1,1 +1,5 @@
 """Rewards of thesis Table 3.3, for learners, for the node and for recorded bags."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Learning with time-to-reach rewards (thesis 3.2.3)."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
-from ctrl_rl_learning.sb3.algorithm_names import ALGORITHMS, THESIS_ALGORITHMS
-from ctrl_rl_learning.study.command import (
+from ctrl_rl_learning.sb3 import ALGORITHMS, THESIS_ALGORITHMS
+from ctrl_rl_learning.study import (
     SimulatedOptions,
     TaskPlotOptions,
     make_command,

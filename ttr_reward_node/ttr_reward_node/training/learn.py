@@ -13,13 +13,24 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from ctrl_rl_learning.sb3.algorithms import ROLL_OUT, extract_actor, make_algorithm, number_of_environments
-from ctrl_rl_learning.sb3.environment import Environment, make_environment, observation_names
-from ctrl_rl_learning.sb3.fleet import FleetEnvironments, evaluate_in_fleet, fits_fleet
-from ctrl_rl_learning.sb3.losses import entropy_of, listen
-from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
-from ctrl_rl_learning.sb3.training import Recorder
-from ctrl_rl_learning.study.curves import Curves
+from ctrl_rl_learning.sb3 import (
+    ROLL_OUT,
+    SUCCESS,
+    Environment,
+    FleetEnvironments,
+    Recorder,
+    entropy_of,
+    evaluate,
+    evaluate_in_fleet,
+    extract_actor,
+    fits_fleet,
+    listen,
+    make_algorithm,
+    make_environment,
+    number_of_environments,
+    observation_names,
+)
+from ctrl_rl_learning.study import Curves
 
 from ctrl_rl_core import Actor, Episodes, NavigationTask, interface_of, load_navigation_task, task_digest
 from ttr_reward_node.rewards.progress import TimeToReach

@@ -23,7 +23,7 @@ from ctrl_rl_core.plots import (
     style_of,
 )
 from ctrl_rl_core.tasks.regions import ANGLES
-from ctrl_rl_learning.study.figure_data import DrivenPath, Figures, SuccessCurve
+from ctrl_rl_learning.study import DrivenPath, Figures, SuccessCurve
 from pydantic import Field, model_validator
 
 from ctrl_rl_core import NavigationTask, ResultsError

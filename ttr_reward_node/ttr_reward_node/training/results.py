@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_learning.sb3.state_visitation import load_visits
-from ctrl_rl_learning.study.results import collect_rows, curves_of, finished_runs, metric, metrics_of_speed
-from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.sb3 import load_visits
+from ctrl_rl_learning.study import collect_rows, curves_of, finished_runs, metric, metrics_of_speed, result_file
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Result

@@ -10,11 +10,16 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_learning.sb3.algorithm_names import THESIS_ALGORITHMS
-from ctrl_rl_learning.sb3.algorithms import make_algorithm
-from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment
-from ctrl_rl_learning.sb3.fleet import FleetReward, fits_fleet
-from ctrl_rl_learning.sb3.training import SimulatedRun
+from ctrl_rl_learning.sb3 import (
+    THESIS_ALGORITHMS,
+    Environment,
+    FleetReward,
+    SimulatedRun,
+    Vector,
+    fits_fleet,
+    make_algorithm,
+    make_environment,
+)
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 
 from ctrl_rl_learning.errors import LearningError

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_bags.datasets.options import TaskDriveOptions
+from ctrl_rl_bags.datasets import TaskDriveOptions
 
 from ctrl_rl_core import NavigationTask, load_navigation_task
 from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.alignment.clocks import warn
-from ctrl_rl_bags.datasets.conversion import find_bag
-from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import (
+from ctrl_rl_bags.alignment import warn
+from ctrl_rl_bags.datasets import (
     ACTION,
     DONE,
     GOAL,
@@ -23,13 +21,18 @@ from ctrl_rl_bags.datasets.frames import (
     OUTCOME,
     REWARD,
     SCAN,
+    Found,
     Frames,
     Layout,
+    TaskDriveOptions,
+    check_task,
+    extract,
+    find_bag,
+    find_layout,
     whole_episodes,
 )
-from ctrl_rl_bags.datasets.options import TaskDriveOptions, check_task
-from ctrl_rl_core.policies.observation import ObservationBuilder
-from ctrl_rl_core.sensing.pose import planar
+from ctrl_rl_core.policies import ObservationBuilder
+from ctrl_rl_core.sensing import planar
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, OdometryReader, PolicyManifest, Sensors, task_digest, terminal_reward

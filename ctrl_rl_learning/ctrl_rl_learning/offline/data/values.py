@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.optimal_control import GridSpec
-from ctrl_rl_core.tasks.schema.system import SystemSpec
+from ctrl_rl_core.tasks import GridSpec, SystemSpec
 from numpy.typing import NDArray
-from ttr_reward_node.rewards.rewards import longest_time
+from ttr_reward_node.rewards import longest_time
 
 from ctrl_rl_core import NavigationTask, ValueFunction
 from ctrl_rl_learning.errors import LearningError
@@ -107,10 +106,10 @@ def find_time_to_reach(task: NavigationTask, folder: Path, clearance: float = 0.
     Raises:
         TimeToReachError: The task has no grid and no arena, or nothing reaches its goal.
     """
-    return find_or_solve(task, folder, posed_as=_solvable(task), clearance=clearance)
+    return find_or_solve(task, folder, posed_as=solvable(task), clearance=clearance)
 
 
-def _solvable(task: NavigationTask) -> NavigationTask:
+def solvable(task: NavigationTask) -> NavigationTask:
     """Return the task with the controls of its robot, and with a grid."""
     changes: dict[str, object] = {}
     system = task.system

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from ctrl_rl_core.policies.actor import Actor
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
+from ctrl_rl_core import Actor
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.learners.batches import batches, scales_of
 from ctrl_rl_learning.torch.networks import Critics

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.policies.actor import Actor
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import Actor, NavigationTask
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.data.values import StateValues

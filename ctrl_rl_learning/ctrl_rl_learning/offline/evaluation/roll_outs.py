@@ -7,18 +7,16 @@ in the model as they ended in the bag.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from ctrl_rl_core.policies.actor import Actor
-from ctrl_rl_core.policies.manifest import ScanPart
-from ctrl_rl_core.tasks.task_sets import TaskSets
+from ctrl_rl_core.policies import ScanPart
 from numpy.typing import NDArray
-from sim_bridge.engines.planar_engine import shape_row
-from sim_bridge.fleet.kernels import scans
+from sim_bridge.engines import shape_row
+from sim_bridge.fleet import scans
 
-from ctrl_rl_core import NavigationTask, Outcome, terminal_reward
+from ctrl_rl_core import Actor, NavigationTask, Outcome, TaskSets, drive_fleet, terminal_reward
 from ctrl_rl_learning.offline.data.dynamics import Dynamics, displacements_before, fit_dynamics
 from ctrl_rl_learning.offline.data.interface import sensed_interface
 from ctrl_rl_learning.offline.data.motion import displaced
@@ -58,18 +56,14 @@ class LearntWorld:
             steps: Number of steps after which an episode is left, still running.
             choose: Chooses the actions.
         """
-        states, moved = starts.copy(), before.copy()
-        outcomes, ends = np.zeros(len(starts), dtype=np.int64), np.zeros(len(starts), dtype=np.int64)
-        running = np.arange(len(starts))
-        for step in range(steps):
-            here = states[running]
-            actions = choose(here, moved[running], running, step)
-            states[running], moved[running] = self._dynamics(here, actions, moved[running], self._random)
-            outcomes[running], ends[running] = self._outcomes(here, moved[running]), step
-            running = running[outcomes[running] == Outcome.RUNNING]
-            if not len(running):
-                break
-        return outcomes, ends
+        robots = _LearntRobots(self, starts, before)
+        episodes = drive_fleet(robots, lambda sensed: choose(*sensed), range(len(starts)), steps)
+        return robots.outcomes, episodes.steps - 1
+
+    def move(self, states: Array, actions: NDArray[np.float32], moved: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return states (N, 3) and displacements (N, 3) after a step, and its outcomes (N,)."""
+        following, moved = self._dynamics(states, actions, moved, self._random)
+        return following, moved, self._outcomes(states, moved)
 
     def observe(self, states: Array, moved: Array) -> NDArray[np.float32]:
         """Return what a policy observes at states (N, 3) after displacements (N, 3), in SI units (N, n)."""
@@ -100,6 +94,32 @@ class LearntWorld:
         found = np.array([self._sets.outcomes(displaced(before, (k + 1) / count * moved)) for k in range(count)])
         first = (found != Outcome.RUNNING).argmax(axis=0)
         return found[first, np.arange(len(before))].astype(np.int64)
+
+
+_Sensed = tuple[Array, Array, NDArray[np.intp], int]
+
+
+class _LearntRobots:
+    """Robots in a learnt world, side by side; those whose episodes have ended move no more."""
+
+    def __init__(self, world: LearntWorld, starts: Array, before: Array) -> None:
+        self._world, self._states, self._moved = world, starts.copy(), before.copy()
+        self.outcomes, self._steps = np.zeros(len(starts), dtype=np.int64), 0
+
+    def begin(self, _: Sequence[int]) -> tuple[_Sensed, Array]:
+        """Return what is known at the start."""
+        return self._sensed(), self._states.copy()
+
+    def step(self, actions: NDArray[np.float32]) -> tuple[_Sensed, Array, Array, NDArray[np.int64]]:
+        """Hold the actions of those that still drive (n, 2)."""
+        states, moved, running, _ = self._sensed()
+        self._states[running], self._moved[running], self.outcomes[running] = self._world.move(states, actions, moved)
+        self._steps += 1
+        return self._sensed(), self._states.copy(), np.zeros(len(self._states)), self.outcomes
+
+    def _sensed(self) -> _Sensed:
+        running = np.flatnonzero(self.outcomes == Outcome.RUNNING)
+        return self._states[running], self._moved[running], running, self._steps
 
 
 def can_model(task: NavigationTask) -> bool:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from ttr_reward_node.rewards.progress import Progress, TimeToReach
+from ttr_reward_node.rewards import Progress
 
 from ctrl_rl_core import NavigationTask, OdometryReader, Outcome, Sensors, terminal_reward
 from ctrl_rl_learning.errors import LearningError
+from ttr_reward_node import TimeToReach
 
 Array = NDArray[np.float64]
 _POSE = ("x", "y", "theta")

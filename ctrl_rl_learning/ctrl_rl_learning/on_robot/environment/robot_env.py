@@ -11,7 +11,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.policies.observation import ObservationBuilder
+from ctrl_rl_core.policies import ObservationBuilder
 from gymnasium import spaces
 from numpy.typing import NDArray
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io import raise_as
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Outcome
+from ctrl_rl_core import FunctionDriver, Outcome, Step, drive
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner
@@ -153,17 +153,20 @@ class Session:
 
     def _drive(self, seed: int, act: Callable[[Vector], Vector], remember: bool) -> EpisodeLog:
         environment, log = self._environment, EpisodeLog()
-        seen, _ = environment.reset(seed=seed)
-        over = False
-        while not over:
-            following, reward, terminated, truncated, info = environment.step(act(seen))
-            log.add(float(reward), info)
-            if remember:
-                settings = self._tuner.settings
-                discount = 0.0 if terminated else settings.discount ** (info["duration"] / environment.period)
-                by_operator = info["operator"] > 0.0
-                self._tuner.add(seen, info["action"], REWARD_SCALE * reward, following, discount, by_operator)
-            seen, over = following, terminated or truncated
+        seen = np.empty(0, np.float32)
+
+        def note(step: Step[Vector]) -> None:
+            nonlocal seen
+            if step.command is not None:
+                log.add(step.reward, step.info)
+                if remember:
+                    duration = step.info["duration"] / environment.period
+                    discount = 0.0 if step.terminated else self._tuner.settings.discount**duration
+                    action, by_operator = step.info["action"], step.info["operator"] > 0.0
+                    self._tuner.add(seen, action, REWARD_SCALE * step.reward, step.sensors, discount, by_operator)
+            seen = step.sensors
+
+        drive(environment, FunctionDriver(act), seeds=(seed,), watch=note)
         return log
 
     def _save(self) -> None:

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch import gradient_step
 from numpy.typing import NDArray
 from torch import Tensor, nn
 

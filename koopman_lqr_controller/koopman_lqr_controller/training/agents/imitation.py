@@ -14,7 +14,7 @@ from itertools import chain
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch import gradient_step
 from torch import Tensor
 
 from koopman_lqr_controller.arrays import Array

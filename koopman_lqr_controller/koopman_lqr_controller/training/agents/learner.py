@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.learner_state import Arrays, restore_state, state_arrays
+from ctrl_rl_learning.torch import Arrays, restore_state, state_arrays
 from numpy.typing import NDArray
 from torch import nn
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
 from ctrl_rl_core.io.schema import Anything, Schema
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch import load_arrays, save_arrays
 
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError

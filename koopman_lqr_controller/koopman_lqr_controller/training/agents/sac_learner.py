@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_learning.sb3.checkpoint import model_arrays, restore_model
-from ctrl_rl_learning.sb3.losses import entropy_of, listen
-from ctrl_rl_learning.torch.learner_state import Arrays
+from ctrl_rl_learning.sb3 import entropy_of, listen, model_arrays, restore_model
+from ctrl_rl_learning.torch import Arrays
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn

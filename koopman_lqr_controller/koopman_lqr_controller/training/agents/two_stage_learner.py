@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch import gradient_step
 from torch import Tensor, nn
 
 from koopman_lqr_controller.control.latent_controller import LatentController

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from ctrl_rl_learning.torch.optimization import gradient_step
+from ctrl_rl_learning.torch import gradient_step
 from torch import Tensor, nn
 
 from koopman_lqr_controller.arrays import Array

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from ctrl_rl_core.io.results import read_experiment
 from ctrl_rl_core.io.schema import Name, Schema
-from ctrl_rl_learning.study.figure_data import Figures, ValueCurve
-from ctrl_rl_learning.study.results import read_figures
+from ctrl_rl_learning.study import Figures, ValueCurve, read_figures
 from pydantic import Field, model_validator
 
 from koopman_lqr_controller.errors import KoopmanError

@@ -10,8 +10,7 @@ import numpy as np
 from ctrl_rl_core.io.file_checks import short_repr
 from ctrl_rl_core.io.schema import Name
 from ctrl_rl_core.plots import MOST_LINES, RETURN, Line, Panel, best_of, draw_learning, line_of
-from ctrl_rl_learning.study.figure_data import Figures, Seeds, ValueCurve
-from ctrl_rl_learning.study.results import read_figures
+from ctrl_rl_learning.study import Figures, Seeds, ValueCurve, read_figures
 from pydantic import Field, model_validator
 
 from koopman_lqr_controller.training.experiments.last_curves import PUBLISHED, LastPolicies

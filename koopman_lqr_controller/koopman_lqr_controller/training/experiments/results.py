@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.io import checked_json
-from ctrl_rl_learning.study.results import Metric, collect_rows, metric
+from ctrl_rl_learning.study import Metric, collect_rows, metric
 
 from ctrl_rl_core import Result
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
-from ctrl_rl_learning.study.run_folder import check_same, result_file
+from ctrl_rl_learning.study import Point, Run, RunOptions, Tell, check_same, result_file
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest

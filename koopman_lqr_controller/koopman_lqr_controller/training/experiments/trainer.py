@@ -9,9 +9,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from ctrl_rl_core.io.schema import Schema
-from ctrl_rl_learning.study.run import Point, RunOptions, Tell
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
-from ctrl_rl_learning.torch.learner_state import Arrays
+from ctrl_rl_learning.study import Point, RunOptions, Tell
+from ctrl_rl_learning.torch import Arrays, load_arrays, save_arrays
 from pydantic import ConfigDict, Field
 
 from koopman_lqr_controller.control.latent_controller import LatentController

@@ -1,0 +1,1 @@
+from .clocks import warn as warn

@@ -1,0 +1,1 @@
+from .episodes import CAR as CAR

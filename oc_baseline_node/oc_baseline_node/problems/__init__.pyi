@@ -1,0 +1,1 @@
+from .problem import TIME_STEP_RANGE as TIME_STEP_RANGE

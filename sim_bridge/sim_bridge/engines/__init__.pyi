@@ -1,0 +1,1 @@
+from .planar_engine import shape_row as shape_row

@@ -1,0 +1,1 @@
+from .occupancy import draw_map as draw_map
