@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.policies.policy import load_policy
 from ctrl_rl_learning.cli.evaluate_offline import evaluate_offline
 from ctrl_rl_learning.cli.learn_offline import learn_offline
 from ctrl_rl_learning.errors import LearningError
@@ -13,8 +12,8 @@ from ctrl_rl_learning.offline.data.dynamics import fit_dynamics
 from ctrl_rl_learning.offline.data.interface import sensed_interface
 from ctrl_rl_learning.offline.data.motion import displacements, fit_motion
 from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_learning.offline.data.values import StateValues, _solvable, load_values
-from ctrl_rl_learning.offline.driving.drivers import PolicyDriver, ScriptedDriver
+from ctrl_rl_learning.offline.data.values import StateValues, load_values, solvable
+from ctrl_rl_learning.offline.driving.drivers import NoisyPolicy, ScriptedDriver
 from ctrl_rl_learning.offline.driving.driving import drive
 from ctrl_rl_learning.offline.evaluation.doubly_robust import episode_estimates, step_ratios
 from ctrl_rl_learning.offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
@@ -24,7 +23,7 @@ from ctrl_rl_learning.offline.learners.learning import learn
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE
 
-from ctrl_rl_core import Actor, load_navigation_task
+from ctrl_rl_core import Actor, load_navigation_task, load_policy
 from sim_bridge import NavigationEnv, SimulationOptions
 from ttr_reward_node import RewardEvaluator, load_value, problem_from_task, relabel, solve
 
@@ -33,7 +32,7 @@ TASK = load_navigation_task("car_navigation")
 
 @pytest.fixture(scope="module")
 def value(tmp_path_factory) -> Path:
-    problem = problem_from_task(_solvable(TASK), counts=(31, 31, 18), inflation=TASK.robot.radius)
+    problem = problem_from_task(solvable(TASK), counts=(31, 31, 18), inflation=TASK.robot.radius)
     file = tmp_path_factory.mktemp("values") / "car_navigation.safetensors"
     solve(problem).grid.save(file)
     return file
@@ -96,7 +95,7 @@ def test_every_method_leaves_a_policy_that_a_node_runs(
     policy = load_policy(tmp_path / "policy.safetensors")
     assert (policy.robot, policy.period, policy.needs) == ("differential_drive", 0.4, {"pose"})
     assert actor.manifest["method"] == method
-    assert len(drive(TASK, PolicyDriver(policy, 0.3), 1, 0).outcomes) == 1
+    assert len(drive(TASK, NoisyPolicy(policy, 0.3), 1, 0).outcomes) == 1
 
 
 def test_the_value_function_prefers_what_saves_time(transitions: Transitions, value: Path, tmp_path: Path) -> None:
@@ -195,7 +194,7 @@ def test_in_a_corridor_a_policy_does_not_observe_its_pose() -> None:
 def test_in_a_corridor_nobody_is_taught_to_drive_back(tmp_path: Path) -> None:
     task = load_navigation_task("curved_corridor")
     assert 0.0 in drive(task, ScriptedDriver(task), 6, 0, tmp_path / "bag").success  # some turned around
-    solve(problem_from_task(_solvable(task), counts=(55, 34, 36), inflation=task.robot.radius)).grid.save(
+    solve(problem_from_task(solvable(task), counts=(55, 34, 36), inflation=task.robot.radius)).grid.save(
         tmp_path / "value.safetensors"
     )
     values = load_values(str(tmp_path / "value.safetensors"), task, tmp_path)

@@ -75,12 +75,14 @@ class Step(NamedTuple, Generic[Seen]):
         command: Command that was held until then (2,); None at the start.
         reward: Reward for it.
         info: What else the robot says.
+        terminated: Whether the episode ended there, other than by being cut.
     """
 
     sensors: Seen
     command: Command | None
     reward: float
     info: Mapping[str, Any]
+    terminated: bool = False
 
 
 @dataclass(frozen=True)
@@ -225,13 +227,16 @@ class Fleet(Protocol[SeenOut]):
         """Hold a command of each; return what all sense then, states (N, n), rewards (N,) and outcomes (N,)."""
 
 
-def drive_fleet(fleet: Fleet[Seen], decide: Callable[[Seen], Any], seeds: Iterable[int]) -> Episodes[None]:
+def drive_fleet(
+    fleet: Fleet[Seen], decide: Callable[[Seen], Any], seeds: Iterable[int], longest: int | None = None
+) -> Episodes[None]:
     """Drive one episode of each seed, all side by side until the last one has ended; they keep their states.
 
     Args:
         fleet: Robots to drive.
         decide: Returns the commands of all for what they sense.
         seeds: Seeds of the episodes, one for each robot.
+        longest: Number of steps after which episodes are left, still running; None for no limit.
     """
     chosen = list(seeds)
     if not chosen:
@@ -239,7 +244,7 @@ def drive_fleet(fleet: Fleet[Seen], decide: Callable[[Seen], Any], seeds: Iterab
     sensed, states = fleet.begin(chosen)
     traces = [[Step[None](None, None, 0.0, {"state": state})] for state in states]
     outcomes = np.full(len(chosen), int(Outcome.RUNNING))
-    while (running := np.flatnonzero(outcomes == Outcome.RUNNING)).size:
+    while (running := np.flatnonzero(outcomes == Outcome.RUNNING)).size and len(traces[running[0]]) - 1 != longest:
         sensed, states, rewards, told = fleet.step(decide(sensed))
         outcomes[running] = told[running]
         for robot in running.tolist():
@@ -275,7 +280,7 @@ def _play(
             wanted, command = command, filter_(sensors, command)
             changed += not np.array_equal(wanted, command)
         sensors, reward, terminated, truncated, info = robot.step(command)
-        note(Step(sensors, command, float(reward), info))
+        note(Step(sensors, command, float(reward), info, bool(terminated)))
         total += float(reward)
         steps += 1
         over = terminated or truncated

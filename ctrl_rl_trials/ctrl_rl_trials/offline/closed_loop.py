@@ -14,23 +14,25 @@ from shutil import rmtree
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_core.policies.policy import load_policy
-from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_learning.offline.data.values import (
+from ctrl_rl_core.io import read_json, with_digest
+from ctrl_rl_learning.offline import (
     TIME_TO_REACH,
+    LearningSettings,
+    NoisyPolicy,
+    RandomDriver,
+    ScriptedDriver,
     StateValues,
+    Transitions,
     clearance_of,
+    drive,
+    evaluate_offline,
     find_time_to_reach,
+    learn,
+    load_transitions,
     load_values,
 )
-from ctrl_rl_learning.offline.driving.drivers import Driver, PolicyDriver, ScriptedDriver
-from ctrl_rl_learning.offline.driving.driving import drive
-from ctrl_rl_learning.offline.evaluation.report import evaluate_offline
-from ctrl_rl_learning.offline.learners.learning import learn
-from ctrl_rl_learning.offline.learners.settings import LearningSettings
 
-from ctrl_rl_core import Actor, NavigationTask, atomic_write
+from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_policy
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
 DISCOUNT = 0.99
@@ -48,7 +50,7 @@ class LoopSettings:
         episodes: Number of recorded episodes of each round.
         tests: Number of episodes that success is counted in.
         updates: Number of updates of the networks.
-        noise: Noise of the recorded drives, see `PolicyDriver`.
+        noise: Noise of the recorded drives, see `NoisyPolicy`.
         engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
         seed: Seed of everything random.
         fit_updates: Number of updates of the offline evaluation.
@@ -120,7 +122,7 @@ def _drivers(
     values: StateValues,
     number: int,
     result: dict[str, Any],
-) -> tuple[Driver, Driver]:
+) -> tuple[RandomDriver, RandomDriver]:
     """Return the driver whose drives are recorded and the one whose success is counted."""
     if not bags:
         return ScriptedDriver(task), ScriptedDriver(task)
@@ -131,7 +133,7 @@ def _drivers(
         learn(transitions, task, how, values, {"round": number}).save(file)
     result |= _predict(transitions, task, file, values, settings)
     policy = load_policy(file)
-    return PolicyDriver(policy, settings.noise), PolicyDriver(policy)
+    return NoisyPolicy(policy, settings.noise), NoisyPolicy(policy)
 
 
 def _predict(
@@ -151,7 +153,7 @@ def _predict(
 
 def _record(
     task: NavigationTask,
-    driver: Driver,
+    driver: RandomDriver,
     settings: LoopSettings,
     here: Path,
     labelled: Path,

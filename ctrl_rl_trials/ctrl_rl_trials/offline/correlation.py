@@ -13,19 +13,26 @@ from shutil import rmtree
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.io.checked_json import read_json, with_digest
-from ctrl_rl_core.policies.policy import load_policy
-from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
-from ctrl_rl_learning.offline.data.values import OC_VALUE, TIME_TO_REACH, StateValues, find_time_to_reach, load_values
-from ctrl_rl_learning.offline.driving.drivers import PolicyDriver, ScriptedDriver
-from ctrl_rl_learning.offline.driving.driving import drive
-from ctrl_rl_learning.offline.evaluation.report import evaluate_offline
-from ctrl_rl_learning.offline.evaluation.roll_outs import correlation
-from ctrl_rl_learning.offline.learners.learning import learn
-from ctrl_rl_learning.offline.learners.settings import LearningSettings
+from ctrl_rl_core.io import read_json, with_digest
+from ctrl_rl_learning.offline import (
+    OC_VALUE,
+    TIME_TO_REACH,
+    LearningSettings,
+    NoisyPolicy,
+    ScriptedDriver,
+    StateValues,
+    Transitions,
+    correlation,
+    drive,
+    evaluate_offline,
+    find_time_to_reach,
+    learn,
+    load_transitions,
+    load_values,
+)
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Actor, NavigationTask, atomic_write
+from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_policy
 from ctrl_rl_trials.offline.closed_loop import DISCOUNT
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
@@ -195,7 +202,7 @@ def _drive(
             how = LearningSettings(candidate.method, updates=candidate.updates, temperature=candidate.temperature)
             values = None if candidate.value is None else load_values(candidate.value, task, folder / "values")
             learn(transitions, task, how, values).save(file)
-        drives = drive(task, PolicyDriver(load_policy(file)), settings.tests, _TEST_SEED, engine=settings.engine)
+        drives = drive(task, NoisyPolicy(load_policy(file)), settings.tests, _TEST_SEED, engine=settings.engine)
         told = {"return": float(drives.returns(DISCOUNT).mean()), "success": float(drives.success.mean())}
         atomic_write(result, json.dumps(with_digest(told)))
         tell(f"{candidate.name}: driven, return {told['return']:.0f}, success {told['success']:.2f}")

@@ -6,24 +6,21 @@ import math
 from typing import Protocol
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import wrap
+from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Policy, Sensors
+from ctrl_rl_core import Driver, NavigationTask, Policy, Sensors
 
 Array = NDArray[np.float64]
 _LOOK = 1.3
 """Bearing up to which a driver without a goal looks for room [rad]."""
 
 
-class Driver(Protocol):
-    """Gives commands, episode after episode."""
+class RandomDriver(Driver[Sensors], Protocol):
+    """A driver that draws anew in each episode."""
 
     def begin(self, random: np.random.Generator) -> None:
         """Begin an episode."""
-
-    def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,): speed [m/s] and turn rate [rad/s]."""
 
 
 class ScriptedDriver:
@@ -70,7 +67,7 @@ class ScriptedDriver:
         return float(wrap(math.atan2(sensors.goal[1] - y, sensors.goal[0] - x) - theta))
 
 
-class PolicyDriver:
+class NoisyPolicy:
     """A policy as a node runs it, with noise that is held for a while, in part of the episodes.
 
     Args:

@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_bags.datasets.episodes import EpisodeFrames, Step
-from ctrl_rl_bags.datasets.frames import Frames, Layout, ScanLayout
-from ctrl_rl_bags.datasets.readings import no_goal
-from ctrl_rl_bags.datasets.rebuilding import DriveWriter
-from ctrl_rl_core.sensing.pose import planar
+from ctrl_rl_bags.datasets import DriveWriter, EpisodeFrames, Frames, Layout, ScanLayout, Step, no_goal
+from ctrl_rl_core.driving import drive as loop
+from ctrl_rl_core.sensing import planar
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, Sensors, make_odometry, task_digest, terminal_reward
+from ctrl_rl_core import Episode, NavigationTask, Outcome, Sensors, task_digest, terminal_reward
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.driving.drivers import Driver
+from ctrl_rl_learning.offline.driving.drivers import RandomDriver
 from ctrl_rl_learning.sb3.environment import usual_rate
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import SimulatedRobot, SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
 _BEGIN_NS = 10**9
@@ -54,7 +52,7 @@ class Drives(NamedTuple):
 
 def drive(
     task: NavigationTask,
-    driver: Driver,
+    driver: RandomDriver,
     episodes: int,
     seed: int,
     bag: Path | None = None,
@@ -78,28 +76,52 @@ def drive(
     """
     if task.plane != "xy":
         raise LearningError(f"task '{task.name}' is a quadrotor's: only robots on wheels are driven here")
-    rate = usual_rate(task, engine)
-    world = SimulatedWorld(task, options=SimulationOptions(engine=engine, rate=rate))
-    found: list[tuple[int, int]] = []
-    writer = None if bag is None else DriveWriter(bag, layout_of(task))
+    options = SimulationOptions(engine=engine, rate=usual_rate(task, engine))
+    world, layout, disc = SimulatedWorld(task, options=options), layout_of(task), task.goal.region.disc
+    place = no_goal() if disc is None else np.array((*disc.centre, 0.0, 0.0, 0.0, 0.0, 1.0))
+    robot = SimulatedRobot(world, task.episode.time_step, None if disc is None else planar(place.tolist()))
+    found: list[Episode[Sensors]] = []
+    writer = None if bag is None else DriveWriter(bag, layout)
     try:
         time = _BEGIN_NS
         for number in range(episodes):
-            world.reset(seed + number)
             driver.begin(np.random.default_rng((seed + number, 1)))
-            pieces, outcome, steps = _episode(task, world, driver, rate, time)
-            found.append((outcome, steps))
-            time += round(steps * task.episode.time_step * 1e9) + _PAUSE_NS
+            recording = _Recording(layout, place, time)
+            found += loop.drive(robot, driver, seeds=(seed + number,), watch=recording.note)
+            time += round(found[-1].steps * task.episode.time_step * 1e9) + _PAUSE_NS
             if writer is not None:
-                for frames in pieces:
+                for frames in recording.end():
                     writer.write(replace(frames, episode=number))
             tell(1)
     finally:
         world.close()
         if writer is not None:
             writer.close()
-    outcomes, steps_of = np.array(found, dtype=np.int64).T
-    return Drives(outcomes, steps_of, np.asarray(terminal_reward(outcomes, task.rewards)))
+    outcomes = np.array([Outcome[each.outcome] for each in found], dtype=np.int64)
+    steps = np.array([each.steps for each in found], dtype=np.int64)
+    return Drives(outcomes, steps, np.asarray(terminal_reward(outcomes, task.rewards)))
+
+
+class _Recording:
+    """The messages of one episode, from a time on [ns]."""
+
+    def __init__(self, layout: Layout, goal: Array, time: int) -> None:
+        self._frames, self._goal, self._time = EpisodeFrames(layout), goal, time
+        self._step = round((layout.period or 0.0) * 1e9)
+        self._pieces: list[Frames] = []
+
+    def note(self, step: loop.Step[Sensors]) -> None:
+        """Take a state of the episode."""
+        sensors, outcome = step.sensors, int(Outcome[step.info["outcome"]])
+        row = Step(
+            self._time, self._time, sensors.ranges, sensors.odometry, self._goal, None, step.command, np.nan, outcome
+        )
+        self._pieces += self._frames.add(row)
+        self._time += self._step
+
+    def end(self) -> list[Frames]:
+        """Return the messages."""
+        return [*self._pieces, *self._frames.end()]
 
 
 def layout_of(task: NavigationTask) -> Layout:
@@ -124,37 +146,3 @@ def layout_of(task: NavigationTask) -> Layout:
         period=task.episode.time_step,
         digests={"digest.task": task_digest(task)},
     )
-
-
-def _episode(
-    task: NavigationTask, world: SimulatedWorld, driver: Driver, rate: int, time: int
-) -> tuple[list[Frames], int, int]:
-    """Drive one episode; return its frames, its outcome and its number of commands."""
-    layout = layout_of(task)
-    scan, current, pieces = layout.scan, EpisodeFrames(layout), list[Frames]()
-    step, counts = round(task.episode.time_step * 1e9), round(task.episode.time_step * rate)
-    disc = task.goal.region.disc
-    goal = no_goal() if disc is None else np.array((*disc.centre, 0.0, 0.0, 0.0, 0.0, 1.0))
-    target = None if disc is None else planar(goal.tolist())
-    command: Array | None = None
-    outcome, steps = 0, 0
-    while True:
-        reading, ranges = world.odometry(0), world.scan(0)
-        numbers = make_odometry(reading.pose, reading.velocity)
-        now = time + steps * step
-        pieces += current.add(Step(now, now, ranges, numbers, goal, None, command, np.nan, outcome))
-        if outcome:
-            return [*pieces, *current.end()], outcome, steps
-        sensors = Sensors(
-            ranges,
-            scan.geometry,
-            numbers,
-            planar(numbers[:7].tolist()),
-            target,
-            np.zeros(2) if command is None else command,
-        )
-        command = np.asarray(driver.command(sensors), dtype=np.float64)
-        world.command(0, command)
-        world.step(counts)
-        steps += 1
-        outcome = int(world.episode(0).outcome)
