@@ -15,6 +15,7 @@ from .driving.drive import Step as Step
 from .driving.drive import drive as drive
 from .driving.drive import drive_fleet as drive_fleet
 from .driving.drive_safety import DriveSafety as DriveSafety
+from .driving.drive_safety import ObstacleStop as ObstacleStop
 from .driving.driver_node import DRIVER_PARAMETERS as DRIVER_PARAMETERS
 from .driving.driver_node import MAX_DISTANCE as MAX_DISTANCE
 from .driving.driver_node import DriverNode as DriverNode
@@ -23,7 +24,6 @@ from .driving.driver_node import RobotNode as RobotNode
 from .driving.lidar_robot import LIDAR_PARAMETERS as LIDAR_PARAMETERS
 from .driving.lidar_robot import SCAN_PARAMETERS as SCAN_PARAMETERS
 from .driving.lidar_robot import LidarRobot as LidarRobot
-from .driving.obstacle_stop import ObstacleStop as ObstacleStop
 from .errors import CtrlRlError as CtrlRlError
 from .geometry.motion import Motion as Motion
 from .geometry.shapes import Arc as Arc

@@ -11,7 +11,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.time import Time
 
-from ctrl_rl_core.driving.rivals import Rivals
+from ctrl_rl_core.driving.command_output import Rivals
 from ctrl_rl_core.driving.watchdog import Watchdog
 from ctrl_rl_core.ros.node import COMMAND, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter

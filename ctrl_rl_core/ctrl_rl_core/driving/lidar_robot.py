@@ -15,8 +15,7 @@ from sensor_msgs.msg import LaserScan
 
 from ctrl_rl_core.driving.command_output import CommandOutput
 from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, VelocityError
-from ctrl_rl_core.driving.drive_safety import DriveSafety
-from ctrl_rl_core.driving.obstacle_stop import ObstacleStop
+from ctrl_rl_core.driving.drive_safety import DriveSafety, ObstacleStop
 from ctrl_rl_core.ros.node import SENSOR, Status, SuiteNode, nanoseconds
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.sensing.odometry import OMEGA_Z, OdometryError, V, read_odometry

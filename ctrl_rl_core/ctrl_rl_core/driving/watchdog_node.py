@@ -7,8 +7,8 @@ import sys
 
 from geometry_msgs.msg import Twist, TwistStamped
 
+from ctrl_rl_core.driving.command_output import Rivals
 from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
-from ctrl_rl_core.driving.rivals import Rivals
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.ros.running import run_node
 

@@ -11,7 +11,7 @@ from koopman_lqr_controller.data.trajectory_segments import TrajectorySegment, m
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
-from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
+from koopman_lqr_controller.sensing.lidar_observation import STEP_TOLERANCE
 
 _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
 

@@ -28,7 +28,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.koopman_policy import Decision
 from koopman_lqr_controller.policies.policy_file import DEFAULT_POLICY, KoopmanPolicy, digest, find_policy, load_policy
 from koopman_lqr_controller.safety.guards import Guard
-from koopman_lqr_controller.sensing.lidar import STEP_TOLERANCE
+from koopman_lqr_controller.sensing.lidar_observation import STEP_TOLERANCE
 
 _OUT_OF_STEP = 20
 """Scans in a row that were not predicted, after which it is said."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 from ctrl_rl_core import ScanGeometry, Sectors, find_robot
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.sensing.lidar import check_speeds
+
+STEP_TOLERANCE = 0.25
+"""Part by which a step from scan to scan may be shorter or longer than another and still count as the same."""
 
 
 @dataclass(frozen=True)
@@ -74,3 +77,13 @@ class LidarObservation:
         np.divide(self.near, np.maximum(self.sectors.distances(ranges, scan), self.closest), out=x[:-2])
         x[-2], x[-1] = v / self.speed, omega / self.turn
         return x
+
+
+def check_speeds(v: float, omega: float) -> None:
+    """Refuse the odometry that a scan is seen with.
+
+    Raises:
+        KoopmanError: speed or turn rate are not finite.
+    """
+    if not (math.isfinite(v) and math.isfinite(omega)):
+        raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array
-from koopman_lqr_controller.sensing.lidar import check_speeds
+from koopman_lqr_controller.sensing.lidar_observation import check_speeds
 
 
 @dataclass(frozen=True)
