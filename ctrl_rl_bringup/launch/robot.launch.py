@@ -1,8 +1,8 @@
-"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=... | navigate:=true] [filter:=true]: what drives a real robot.
+"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=... | navigate:=true] [filter:=true]: drives a real robot.
 
-A policy's controller, or the navigator where navigate:=true, commands on cmd_vel_raw; with filter:=true the safety
-filter sends what is safe of it on cmd_vel_safe; one watchdog alone speaks to the robot on cmd_vel. It stops the robot
-when those before it die. It is started again when it dies itself, and begins with zeros.
+A policy's controller, or the navigator with navigate:=true, commands on cmd_vel_raw; with filter:=true the safety
+filter sends safe commands on cmd_vel_safe; only the watchdog talks to the robot, on cmd_vel. It stops the robot if the
+nodes before it die. If it dies itself it is restarted, and begins with zeros.
 """
 
 from launch import LaunchDescription
@@ -40,7 +40,7 @@ _FILTER = ("robot", "mover_speed", "use_map", "pose", "stamped", "timeout", "use
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the driver, the filter where it is wanted, and the one watchdog."""
+    """Return the driver, the filter if wanted, and the watchdog."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     stamped = ParameterValue(given["stamped"], value_type=bool)
     clock = ParameterValue(given["use_sim_time"], value_type=bool)
@@ -91,7 +91,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _included(package: str, file: str, wanted: str, handed_on: tuple[str, ...]) -> IncludeLaunchDescription:
-    """Return another launch file without its watchdog: there is one on a robot."""
+    """Include another launch file without its watchdog: a robot has only one."""
     path = PathJoinSubstitution([FindPackageShare(package), "launch", f"{file}.launch.py"])
     arguments = {name: LaunchConfiguration(name) for name in handed_on}
     return IncludeLaunchDescription(

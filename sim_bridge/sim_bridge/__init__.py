@@ -1,4 +1,4 @@
-"""Simulated robots, in PyBullet or MuJoCo: Gymnasium environments, and a node in place of the robot's drivers."""
+"""Simulated robots in PyBullet, MuJoCo or the plane: Gymnasium environments, and a node in place of robot drivers."""
 
 import lazy_loader as lazy
 

@@ -33,10 +33,10 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
     """One robot of a navigation task; an episode ends at goal, collision or trap and is cut at the step limit.
 
     Observation, in SI units and this order (`observation_names`): the system's state by odometry, angles in [-pi, pi];
-    in a corridor also speed v and turn rate omega; then the lidar's beams, where nothing within reach reads the largest
-    range and what is too close the least. Action: [-1, 1] for each command of the task, mapped to its bounds. Reward:
-    what the task pays (thesis Eq. 3.9, 3.15, 3.17). Info: `outcome`, `state` (the true one), `clearance` [m] and, along
-    a corridor, `progress` from 0 to 1.
+    in a corridor also speed v and turn rate omega; then the lidar's beams, with the maximum range for no echo and the
+    minimum for one that is too close. Action: [-1, 1] for each command of the task, mapped to its bounds. Reward: the
+    task's rewards (thesis Eq. 3.9, 3.15, 3.17). Info: `outcome`, `state` (the true one), `clearance` [m] and, along a
+    corridor, `progress` from 0 to 1.
 
     Attributes:
         task: Task of the environment.
@@ -107,14 +107,14 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         return command
 
     def result(self) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Return observation, reward and the rest of a step that ends now; a wrapper may drive `world` itself."""
+        """Return the result of a step that ends now, for wrappers that drive `world` themselves."""
         episode = self.world.episode(0)
         truncated = episode.outcome is Outcome.TIMEOUT
         terminated = episode.outcome is not Outcome.RUNNING and not truncated
         return self._observation(), episode.reward(self.task.rewards), terminated, truncated, self._info()
 
     def close(self) -> None:
-        """Give the physics engine back."""
+        """Release the physics engine."""
         self.world.close()
 
     def _observation(self) -> Vector:
@@ -140,7 +140,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
 
 
 def register_environments() -> tuple[str, ...]:
-    """Register each navigation task of the suite as ctrl_rl/NAME-v0 and return the ids."""
+    """Register each navigation task as ctrl_rl/NAME-v0 and return the ids."""
     names = [name for name in task_names() if isinstance(load_task(name), NavigationTask)]
     ids = tuple(f"ctrl_rl/{name}-v0" for name in names)
     for name, identifier in zip(names, ids, strict=True):

@@ -1,4 +1,4 @@
-"""The command `compile`: machine code of the nodes' kernels, made before a robot waits for it."""
+"""The command `compile`: compiles the nodes' kernels before a robot has to wait for it."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from ctrl_rl_core import (
 
 @dataclass(frozen=True)
 class CompileOptions:
-    """Compile what nodes compute with, and keep the pages of --help, so that the first start is as quick as any other.
+    """Compile the nodes' kernels and cache the pages of --help, so that the first start is as quick as any other.
 
-    The code is kept beside the sources, or in the user's cache folder where that cannot be written. What is there
-    already is not compiled again; without this command each node compiles what it needs when it first starts.
+    The code is stored beside the sources, or in the user's cache folder if they are read-only. Existing code is not
+    compiled again. Without this command each node compiles its kernels at its first start.
     """
 
 
 def compile_kernels() -> int:
-    """Compile what nodes compute with."""
+    """Compile the nodes' kernels."""
     parse_options("compile", CompileOptions)
     return run_command("compile", _compile, failure=2)
 
@@ -53,7 +53,7 @@ def _compile() -> int:
 
 
 def _keep_page(door: EntryPoint) -> bool:
-    """Keep the page of an executable; tell whether there is one."""
+    """Cache the help page of an executable; return whether there is one."""
     name = door.dist.name.replace("-", "_") if door.dist else ""
     executable = Path(get_package_prefix(name)) / "lib" / name / door.name
     keep_page(executable, door.load())
@@ -87,7 +87,7 @@ def _solver() -> None:
 
 
 def _solver_of_nodes() -> None:
-    """Compile the sweep of systems whose f depends on every state."""
+    """Compile the sweep for systems whose f depends on every state."""
     from ttr_reward_node import TimeToReachProblem, solve
 
     pendulum = System(
@@ -130,4 +130,4 @@ KERNELS: dict[str, Callable[[], None]] = {
     "values of cars": partial(_values, 3),
     "values of quadrotors": partial(_values, 4),
 }
-"""Functions that call what nodes compute with, those that take longest first."""
+"""Functions that compile the nodes' kernels, the slowest first."""

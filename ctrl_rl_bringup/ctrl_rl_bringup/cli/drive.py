@@ -1,4 +1,4 @@
-"""The commands that drive one robot, `demo`, `trials`, `record_drives`, and those that follow or report a drive."""
+"""The commands that drive one robot (`demo`, `trials`, `record_drives`), follow a drive or report on it."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _SIMULATOR_PARAMETERS = {
     "drift": "odom_drift",
     "delay": "command_delay",
 }
-"""Parameters of the simulator by the options that set them."""
+"""Parameters of the simulator, by the options that set them."""
 _Drives = at_least(1)
 
 
 class IncompleteError(CtrlRlError):
-    """A run did not record what its nodes should have published."""
+    """A recording lacks messages that its nodes should have published."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class _RunOptions:
     """Options of every command that drives."""
 
     output: Path | None = None
-    """New folder of the run; runs/<command>-<date>-<time> unless given."""
+    """New folder of the run (default: runs/<command>-<date>-<time>)."""
 
     task: str = "curved_corridor"
     """Task name or .yaml file."""
@@ -58,13 +58,13 @@ class _RunOptions:
     """Simulation time per wall time."""
 
     width: float = 0.0
-    """Width of the corridor [m]; 0 for the task's own."""
+    """Width of the corridor [m]; 0 for the task's."""
 
     random_width: bool = False
     """Draw the corridor's width from the task's range."""
 
     engine: Literal["pybullet", "mujoco"] | None = None
-    """Physics engine of the simulator; PyBullet unless given, or MuJoCo where PyBullet is not installed."""
+    """Physics engine of the simulator (default: PyBullet, or MuJoCo if PyBullet is not installed)."""
 
     filter: bool = False
     """Put the safety filter between the driver and the robot, or the flight guard between the pilot and a quadrotor."""
@@ -73,10 +73,10 @@ class _RunOptions:
     """Show PyBullet's window."""
 
     lidar: str | None = None
-    """Lidar that the simulator imitates: lds01 or lds02; the task's unless given."""
+    """Lidar that the simulator imitates, lds01 or lds02 (default: the task's)."""
 
     scan_rate: float | None = None
-    """Scans per second [Hz]; the task's unless given."""
+    """Scans per second [Hz] (default: the task's)."""
 
     dropout: float | None = None
     """Probability that a beam returns no echo, 0 to 1."""
@@ -94,10 +94,10 @@ class _RunOptions:
     """Cut commands to 0.01 m/s and 0.01 rad/s, as the robot's firmware does."""
 
     ready_limit: float = DriveConfig.ready_limit
-    """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""
+    """Time within which all nodes must be ready [s]; a busy machine may take minutes."""
 
     def config(self, name: str, seed: int, policy: str = "") -> DriveConfig:
-        """Return the configuration of a run whose default folder has this name."""
+        """Return the configuration of a run; `name` is part of its default folder."""
         task = load_navigation_task(self.task)
         return DriveConfig(
             folder=run_folder(self.output, name),
@@ -114,7 +114,7 @@ class _RunOptions:
         )
 
     def _simulation(self) -> dict[str, Any]:
-        """Return the simulator's parameters that were given; the simulator refuses values that it does not take."""
+        """Return the simulator parameters that were given; the simulator checks their values."""
         given = {name: getattr(self, option) for option, name in _SIMULATOR_PARAMETERS.items()}
         given["command_truncation"] = self.truncation or None
         return {name: value for name, value in given.items() if value is not None}
@@ -125,10 +125,10 @@ class DemoOptions(_RunOptions):
     """Drive, or fly, a robot through a task in the simulator, record it and report."""
 
     task: str = ""
-    """Task name or .yaml file; curved_corridor unless given, with --filter one in which somebody comes along."""
+    """Task name or .yaml file (default: curved_corridor; with --filter one with an oncoming person)."""
 
     policy: str = ""
-    """Policy name or file; the one that has learnt the task unless given."""
+    """Policy name or file (default: the one trained on the task)."""
 
     seed: int = 0
     """Seed of start pose and noise."""
@@ -142,13 +142,13 @@ class TrialsOptions(_RunOptions):
     """Simulation time per wall time."""
 
     policy: str = ""
-    """Policy name or file; the one that has learnt the task unless given."""
+    """Policy name or file (default: the one trained on the task)."""
 
     seeds: _Drives = 20  # type: ignore[valid-type]
     """Number of drives, with seeds from 0."""
 
     at_least: int | None = None
-    """Exit with 1 if fewer drives reach the goal; 95 % of them unless given."""
+    """Exit with 1 if fewer drives reach the goal (default: 95 % of them)."""
 
     results: OptionalFileToWrite = None
     """JSON file to write the metrics to."""
@@ -156,7 +156,7 @@ class TrialsOptions(_RunOptions):
 
 @dataclass(frozen=True)
 class RecordOptions(_RunOptions):
-    """Record drives of the scripted driver, to learn a model from."""
+    """Record drives of the scripted driver as training data for a model."""
 
     speed: float = 8.0
     """Simulation time per wall time."""
@@ -178,18 +178,18 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class MonitorOptions:
-    """Wait until the nodes of a drive listen to each other, start the simulation, and follow the drive to its end."""
+    """Wait until a drive's nodes are connected, start the simulation, and follow the drive to its end."""
 
     topics: str = ""
-    """Topics that the drive waits for besides its own, separated by commas."""
+    """Further topics that the drive waits for, separated by commas."""
 
     ready_limit: float = DriveConfig.ready_limit
-    """Longest time until all nodes must be ready [s]."""
+    """Time within which all nodes must be ready [s]."""
 
 
 @dataclass(frozen=True)
 class ResultsOptions:
-    """Write the page of results from their JSON files."""
+    """Write the results page from the JSON files."""
 
     folder: _RunFolder
     """Folder of the JSON files."""
@@ -207,25 +207,25 @@ def demo() -> int:
 
 
 def trials() -> int:
-    """Drive the corridor from many random starts, and report how often the goal is reached."""
+    """Drive from many random starts and report how often the goal is reached."""
     options = parse_options("trials", TrialsOptions)
     return run_alone("trials", lambda: _trials(options))
 
 
 def record_drives() -> int:
-    """Record the scripted driver, to learn from."""
+    """Record the scripted driver as training data."""
     options = parse_options("record_drives", RecordOptions)
     return run_alone("record_drives", lambda: _record_drives(options))
 
 
 def report() -> int:
-    """Report again on the bag of a drive."""
+    """Report on the bag of a drive."""
     config = DriveConfig(parse_options("report", ReportOptions).folder)
     return run_here("report", lambda: _report(read_drive(config.bag), config))
 
 
 def monitor() -> int:
-    """Start the simulation once the nodes of a drive listen to each other, and follow the drive to its end."""
+    """Start the simulation once a drive's nodes are connected, and follow the drive to its end."""
     options = parse_options("monitor", MonitorOptions, own_arguments("monitor"))
     return run_here(
         "monitor", lambda: follow_running(list(filter(None, options.topics.split(","))), options.ready_limit)
@@ -233,7 +233,7 @@ def monitor() -> int:
 
 
 def results() -> int:
-    """Write the page of results from their JSON files."""
+    """Write the results page from the JSON files."""
     options = parse_options("results", ResultsOptions)
 
     def work() -> int:
@@ -283,7 +283,7 @@ def _trials(options: TrialsOptions) -> int:
 
 
 def _conditions(run: DriveConfig) -> list[str]:
-    """Return the conditions of a drive in words."""
+    """Describe the conditions of a drive."""
     width = "random" if run.randomise_width else f"{run.width:g} m" if run.width else "nominal"
     return [f"width {width}", *(f"{name} {value}".lower() for name, value in run.simulation.items())]
 

@@ -16,10 +16,10 @@ from ctrl_rl_core import parse_options, run_command
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Drive through a warehouse that somebody crosses, and draw it over the time to reach the goal."""
+    """Drive through a warehouse that a person crosses, and draw the drive over the time to reach the goal."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the run; a drive that it holds is drawn again."""
+    """Folder of the run; if it holds a drive, that is drawn again."""
     output: FileToWrite = Path("docs/images/hero.gif")
     """File to write."""
     speed: float = 1.0
@@ -27,7 +27,7 @@ class PictureOptions:
 
 
 def picture() -> int:
-    """Drive, unless the folder has a drive already, and draw it."""
+    """Drive, unless the folder holds a drive, and draw the drive."""
     options = parse_options("picture", PictureOptions)
     return run_command("picture", lambda: _picture(options), failure=2)
 

@@ -1,4 +1,4 @@
-"""The command `preflight`: look at a live robot, and say go or no-go."""
+"""The command `preflight`: inspects a live robot and says go or no-go."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _QUESTION = {
 
 @dataclass(frozen=True)
 class PreflightOptions:
-    """Look at a live robot, or at the simulator, and say before it drives what is wrong: GO or NO-GO."""
+    """Inspect a live robot, or the simulator, before it drives: list what is wrong and say GO or NO-GO."""
 
     output: Path | None = None
-    """Folder of the report, preflight.txt and preflight.json; runs/preflight-<date>-<time> unless given."""
+    """Folder of the report, preflight.txt and preflight.json (default: runs/preflight-<date>-<time>)."""
 
     seconds: FiniteNumber = 5.0
-    """Time to listen, once scan and odometry have come [s]."""
+    """Time to listen after the first scan and odometry [s]."""
 
     wait: FiniteNumber = 10.0
     """Longest time to wait for scan and odometry [s]."""
@@ -53,25 +53,21 @@ class PreflightOptions:
     """Commands will be Twist (Humble) instead of TwistStamped (Jazzy)."""
 
     commands: str = "cmd_vel"
-    """Topic that commands will be sent on: cmd_vel_raw where the watchdog runs."""
+    """Topic that commands will be sent on: cmd_vel_raw if the watchdog runs."""
 
     move: Literal["none", "air", "floor"] = "none"
-    """Drive a short pattern, wheels in the air or in a metre of free space, and hold odometry and scans to it."""
+    """Drive a short pattern, wheels in the air or with a metre of free space, and compare odometry and scans."""
 
     yes: bool = False
     """Move without asking."""
 
     robot: str = DEFAULT_ROBOT
-    """Name of the robot, or the path of its .yaml file: where its lidar sits, its size and its battery."""
+    """Name of the robot, or path of its .yaml file with lidar mounting, size and battery."""
 
     limits: Annotated[Limits, tyro.conf.arg(name="")] = field(default_factory=Limits)
 
     def check(self) -> None:
-        """Refuse values that make no sense.
-
-        Raises:
-            CommandError: One does not.
-        """
+        """Check the values. Raises: CommandError: A value is out of range."""
         for name, least, largest in (("seconds", 1.0, _LONGEST_S), ("wait", 0.0, _LONGEST_S)):
             if not least <= getattr(self, name) <= largest:
                 raise CommandError(f"--{name} {getattr(self, name):g}: must be {least:g} to {largest:g} s")
@@ -87,7 +83,7 @@ class PreflightOptions:
 
 
 def preflight() -> int:
-    """Look at a live robot and say go or no-go."""
+    """Inspect a live robot and say go or no-go."""
     return run_command("preflight", _preflight, failure=EXIT_USAGE)
 
 
@@ -114,7 +110,7 @@ def _preflight() -> int:
 
 
 def _stand(options: PreflightOptions, listener: Listener, executor: Executor) -> list[Finding]:
-    """Listen to a robot that stands, and return what is found."""
+    """Inspect a standing robot and return the findings."""
     print("preflight: waiting for scan and odometry", file=sys.stderr)
     listener.wait(executor, options.wait)
     print(f"preflight: listening for {options.seconds:g} s", file=sys.stderr)
@@ -124,9 +120,9 @@ def _stand(options: PreflightOptions, listener: Listener, executor: Executor) ->
 
 
 def _move(options: PreflightOptions, listener: Listener, executor: Executor, healthy: bool) -> list[Finding]:
-    """Drive the pattern where the standing robot is healthy, and return what is found."""
+    """Drive the pattern if the standing robot is healthy, and return the findings."""
     if not healthy:
-        return [left_out("drive", "the robot is not moved before the above is mended")]
+        return [left_out("drive", "the robot is not moved until the above is fixed")]
     mover = Mover()
     executor.add_node(mover)
     try:
@@ -145,7 +141,7 @@ def _not_moved(options: PreflightOptions) -> Finding:
 
 
 def _agreed(options: PreflightOptions) -> bool:
-    """Return whether the user lets the robot move."""
+    """Ask whether the robot may move."""
     if options.yes:
         return True
     print(f"{_QUESTION[options.move]} [yes/no] ", end="", flush=True, file=sys.stderr)
@@ -153,7 +149,7 @@ def _agreed(options: PreflightOptions) -> bool:
 
 
 def _ros_arguments(options: PreflightOptions) -> list[str]:
-    """Return the process's words with the options that rclpy is to know."""
+    """Return the process's arguments with the options for rclpy."""
     namespace = options.namespace.strip("/")
     out = [*sys.argv, "--ros-args"]
     out += ["-r", f"__ns:=/{namespace}"] if namespace else []

@@ -1,4 +1,4 @@
-"""Helpers of the commands of this package: the reach of their nodes, and the folder of a new run."""
+"""Helpers of this package's commands: where their nodes are heard, and the folder of a new run."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ctrl_rl_core import run_command
 
 
 def run_here(program: str, work: Callable[[], int]) -> int:
-    """Run a command whose nodes talk on this machine, and return its exit code."""
+    """Run a command whose nodes communicate on this machine only; return its exit code."""
     stay_local()
     return run_command(program, work, failure=2)
 
 
 def run_alone(program: str, work: Callable[[], int]) -> int:
-    """Run a command that starts nodes, in a ROS domain of its own, and return its exit code."""
+    """Run a command that starts nodes, in its own ROS domain; return its exit code."""
 
     def alone() -> int:
         with own_domain(program):
@@ -31,14 +31,14 @@ def run_alone(program: str, work: Callable[[], int]) -> int:
 
 
 def run_folder(output: Path | None, name: str) -> Path:
-    """Return the folder of a new run: the given one, or runs/<name>-<date>-<time>."""
+    """Return the folder of a new run, by default runs/<name>-<date>-<time>."""
     return output or Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
 def own_arguments(program: str) -> list[str]:
     """Return the process's arguments without those that ROS's launch adds after --ros-args.
 
-    One that is unknown to ROS is wrong usage: it is said in one line, and the process ends with 2.
+    Unknown ROS arguments end the process with one line and exit code 2.
     """
     try:
         return list(remove_ros_args(sys.argv)[1:])

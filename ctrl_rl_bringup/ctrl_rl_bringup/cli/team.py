@@ -31,16 +31,16 @@ class _TeamOptions:
 
 @dataclass(frozen=True)
 class DemoOptions(_TeamOptions):
-    """Let a team of TurtleBots carry parcels under the coordinator once, record it and report."""
+    """Let a team of TurtleBots carry parcels under the coordinator; record the run and report on it."""
 
     output: Path | None = None
-    """New folder of the run; runs/options-<date>-<time> unless given."""
+    """New folder of the run (default: runs/options-<date>-<time>)."""
 
     room: str = TeamConfig.room
-    """Navigation task or .yaml file of the room; the team's own if empty."""
+    """Navigation task or .yaml file of the room; the team's if empty."""
 
     policy: str = TeamConfig.policy
-    """Scripted policy 'spread' or 'uniform', or name or file of a learned one; if empty the team's, else 'spread'."""
+    """Scripted policy 'spread' or 'uniform', or name or file of a learned one; if empty the team's, or 'spread'."""
 
     seed: at_least(0) = 0  # type: ignore[valid-type]
     """Seed of starts, noise and draws."""
@@ -52,33 +52,33 @@ class DemoOptions(_TeamOptions):
     """Show PyBullet's window."""
 
     engine: Literal["auto", "pybullet", "mujoco"] = "auto"
-    """Physics engine of the simulator; auto for PyBullet where it is installed, else MuJoCo."""
+    """Physics engine of the simulator; auto is PyBullet if installed, else MuJoCo."""
 
     ready_limit: float = TeamConfig.ready_limit
-    """Longest time until all nodes must be ready [s]; a busy machine may take minutes."""
+    """Time within which all nodes must be ready [s]; a busy machine may take minutes."""
 
 
 @dataclass(frozen=True)
 class ReportOptions(_TeamOptions):
-    """Report again on the bag of a team's run, and draw it."""
+    """Report on the bag of a team's run, and draw it."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = tyro.MISSING
     """Folder of the run, with its bag in 'bag'."""
 
     room: str = TeamConfig.room
-    """Navigation task or .yaml file of the room; the team's own if empty."""
+    """Navigation task or .yaml file of the room; the team's if empty."""
 
 
 @dataclass(frozen=True)
 class MonitorOptions(_TeamOptions):
-    """Wait until a team's nodes listen to each other, start the simulation, and follow the work to its end."""
+    """Wait until a team's nodes are connected, start the simulation, and follow the work to its end."""
 
     ready_limit: float = TeamConfig.ready_limit
-    """Longest time until all nodes must be ready [s]."""
+    """Time within which all nodes must be ready [s]."""
 
 
 def demo() -> int:
-    """Let a team of TurtleBots carry parcels under the coordinator once, record it and report."""
+    """Let a team of TurtleBots carry parcels under the coordinator; record the run and report on it."""
     given = parse_options("options_demo", DemoOptions)
     chosen = {key: value for key, value in vars(given).items() if key != "output"}
     config = TeamConfig(run_folder(given.output, "options"), **chosen)
@@ -86,14 +86,14 @@ def demo() -> int:
 
 
 def report() -> int:
-    """Report again on the bag of a team's run, and draw it."""
+    """Report on the bag of a team's run, and draw it."""
     given = parse_options("options_report", ReportOptions)
     config = TeamConfig(given.folder, given.team, given.room)
     return run_here("options_report", lambda: _report(config))
 
 
 def monitor() -> int:
-    """Start the simulation once a team's nodes listen to each other, and follow the work to its end."""
+    """Start the simulation once a team's nodes are connected, and follow the work to its end."""
     options = parse_options("options_monitor", MonitorOptions, own_arguments("options_monitor"))
     return run_here("options_monitor", lambda: follow_running_team(load_team(options.team), options.ready_limit))
 

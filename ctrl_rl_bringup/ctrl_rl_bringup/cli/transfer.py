@@ -1,4 +1,4 @@
-"""The command `transfer`: how policies fare in the engine that they were not learnt in, and in other conditions."""
+"""The command `transfer`: tests policies in the engine they were not trained in, and under other conditions."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from ctrl_rl_core import (
 
 _HOME = "pybullet"
 _DIGESTS = "digests"
-"""Key of the results' figures: digest of each method's cell."""
+"""Key in the results' figures: digest of each cell."""
 
 
 @dataclass(frozen=True)
 class TransferOptions:
     """Drive policies in both physics engines, nominal and shifted, and count how often they reach the goal.
 
-    Cells that the results file has already, of the same policies, tasks, conditions and seeds, are not driven again.
+    Cells in the results file with the same policies, tasks, conditions and seeds are not driven again.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")] = ()

@@ -1,4 +1,4 @@
-"""Runs: one drive under the controller, many drives from random starts, drives to learn from."""
+"""Runs: one drive under the controller, many drives from random starts, and training drives."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Artifacts:
 
 
 def drive(options: DriveConfig) -> DriveReport:
-    """Drive once under the controller, with its reward, record everything, and return what the bag says."""
+    """Drive once under the controller, with its reward; record everything and return the report."""
     policy = find_policy(options.policy)
     drivers = _drivers(options, policy)
     new_run(options)
@@ -62,11 +62,11 @@ def write_artifacts(result: DriveReport, folder: Path) -> Artifacts:
 
 
 def follow_running(topics: Sequence[str], ready_limit: float) -> int:
-    """Follow a drive whose nodes somebody else has started, and return 0 if it reached the goal, else 1.
+    """Follow a drive whose nodes run already; return 0 if it reaches the goal, else 1.
 
     Args:
-        topics: Topics that the drive waits for, besides those of every drive.
-        ready_limit: Longest time until all nodes must be ready [s].
+        topics: Further topics that the drive waits for.
+        ready_limit: Time within which all nodes must be ready [s].
     """
     with ros():
         monitor = Monitor(lambda: None, topics, ready_limit)
@@ -77,7 +77,7 @@ def follow_running(topics: Sequence[str], ready_limit: float) -> int:
 
 
 def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
-    """Drive under the controller once for each seed, in one recorded session, and return how each drive ended."""
+    """Drive under the controller once per seed, in one recorded session; return how each drive ended."""
     policy = find_policy(options.policy)
     drivers = _drivers(options, policy)
     new_run(options)
@@ -86,14 +86,14 @@ def drive_seeds(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgr
 
 
 def record_scripted(options: DriveConfig, seeds: Sequence[int]) -> list[EpisodeProgress]:
-    """Record the scripted driver, once for each seed: drives to learn from."""
+    """Record one drive of the scripted driver per seed, as training data."""
     new_run(options)
     with running(options, [scripted_driver(options.seed), watchdog(options.speed)], {}) as monitor:
         return _episodes(monitor, seeds, "drive")
 
 
 def _drivers(options: DriveConfig, policy: Path) -> list[NodeSpec]:
-    """Return the nodes that drive by a policy: the controller by a Koopman policy, the policy node by any other.
+    """Return the nodes that drive a policy: the controller for a Koopman policy, the policy node for any other.
 
     Raises:
         CtrlRlError: The policy is not for the robot of the task.
@@ -119,7 +119,7 @@ def _episodes(monitor: Monitor, seeds: Sequence[int], title: str) -> list[Episod
 
 @contextmanager
 def running(options: DriveConfig, nodes: Sequence[NodeSpec], digests: dict[str, Path]) -> Iterator[Monitor]:
-    """Start simulator, recorder and nodes, and end them in an order in which the recorder misses nothing."""
+    """Start simulator, recorder and nodes; end them in an order in which the recorder misses nothing."""
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options, {"task": task_file(options.task), **digests}), simulator(options), *nodes])
         topics = [topic for node in nodes for topic in node.publishes]

@@ -31,10 +31,11 @@ class LatentModel:
 
     Attributes:
         dimensions: Number of dimensions of the latent space.
-        poles: Poles of the closed loop A - B K, largest first (n,); empty if the policy's file has changed since.
-        steps: Stamp [s], prediction error and distance that the latent moved, the error of "nothing changes" (k, 3).
+        poles: Poles of the closed loop A - B K, largest first (n,); empty if the policy's file has changed.
+        steps: Stamp [s], prediction error, and distance that the latent moved, which is the error of predicting no
+            change (k, 3).
         farthest: Maximum distance from the latents of training, 1 at the border; NaN if the policy has no border.
-        stops: Number of scans that were answered by a stop, by reason.
+        stops: Number of scans answered by a stop, by reason.
     """
 
     dimensions: int
@@ -45,13 +46,13 @@ class LatentModel:
 
     @property
     def error_over_persistence(self) -> float:
-        """Root mean square of the one-step errors over that of "nothing changes"; NaN without a prediction."""
+        """Root mean square of the one-step errors, relative to predicting no change; NaN without a prediction."""
         missed, moved = (float(np.sum(self.steps[:, column] ** 2)) for column in (1, 2))
         return float(np.sqrt(missed / moved)) if moved > 0.0 else float("nan")
 
     @property
     def spectral_radius(self) -> float:
-        """Spectral radius of the closed loop, NaN if its poles are not known."""
+        """Spectral radius of the closed loop; NaN if its poles are unknown."""
         return float(np.abs(self.poles[0])) if len(self.poles) else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
@@ -86,10 +87,10 @@ class LatentModel:
 
 
 def read_latent_model(bag: Path) -> LatentModel | None:
-    """Read it from a bag, and the poles from the policy's file; None where no Koopman controller drove.
+    """Read it from a bag, and the poles from the policy's file; None if no Koopman controller drove.
 
     Raises:
-        BagError: the bag cannot be read.
+        BagError: The bag cannot be read.
     """
     info = bag_info(bag)
     topic = min((name for name in info.topics if name.endswith(_TOPIC)), default="")
@@ -116,7 +117,7 @@ def read_latent_model(bag: Path) -> LatentModel | None:
 
 
 def _poles(custom_data: Mapping[str, str]) -> NDArray[np.complex128]:
-    """Return the poles of the policy that a bag names, if its file still is what it was."""
+    """Return the poles of the policy that a bag names, if its file is unchanged."""
     try:
         path = find_policy(str(recorded_parameters(custom_data, "koopman_lqr_controller").get("policy", "")))
         if digest(path) != custom_data.get("digest.policy"):

@@ -32,11 +32,11 @@ from ctrl_rl_bringup.runner.monitor import OUTCOMES
 from ctrl_rl_core import NavigationTask, draw_path, draw_world, load_navigation_task, picture
 
 _COMMANDS = {"xy": ("speed [m/s]", "turn rate [rad/s]"), "xz": ("$T_1$ [N]", "$T_2$ [N]")}
-"""Names of the two commands by the plane of the task."""
+"""Names of the two commands, by plane."""
 
 
 def draw_drive(drive: DriveReport, path: Path) -> None:
-    """Write the path with clearance and commands, and beside it, as values.svg, the values that were recorded."""
+    """Write the path with clearance and commands, and the recorded values beside it as values.svg."""
     task = load_navigation_task(drive.task)
     title = f"{task.name}: {OUTCOMES[drive.outcome]} after {drive.duration:.1f} s, never nearer than "
     title += f"{drive.smallest_clearance:.2f} m to a wall or an obstacle"
@@ -58,7 +58,7 @@ def draw_drive(drive: DriveReport, path: Path) -> None:
 
 
 def _values(drive: DriveReport) -> list[Series]:
-    """Return what value functions and the latent model said on the way."""
+    """Return the recorded values and prediction errors as series."""
     out = []
     if len(drive.rewards):
         best = np.array([0.0, drive.time_to_reach])
@@ -106,12 +106,12 @@ def _heading(places: NDArray[np.float64]) -> float:
 Array = NDArray[np.float64]
 _TRUTH = "/ground_truth"
 _LONGEST = 10.0
-"""Longest time that a moving picture takes until its last frame [s]; longer drives are shown faster."""
+"""Maximum duration of an animation [s]; longer drives are shown faster."""
 _FRAME = 0.06
 
 
 def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
-    """Write a drive as an animated GIF with one frame for each scan; the file is there whole or not at all.
+    """Write a drive as an animated GIF, atomically, with one frame per scan.
 
     Args:
         bag: Folder of the bag.
@@ -119,7 +119,7 @@ def animate_drive(bag: Path, drive: DriveReport, path: Path) -> None:
         path: File to write.
 
     Raises:
-        BagError: The bag has no scans, or does not say where the robot was.
+        BagError: The bag has no scans or no robot poses.
     """
     poses, scans = _read(bag)
     task = load_navigation_task(drive.task)
@@ -183,7 +183,7 @@ def _read(bag: Path) -> tuple[Array, list[tuple[float, Array, Array]]]:
 
 
 def _series(drive: DriveReport) -> list[Series]:
-    """Return the commands, and the time to reach where it was recorded, else the clearance."""
+    """Return the commands, and the time to reach if it was recorded, else the clearance."""
     times, speeds, turns = drive.commands.T
     reach = (
         Series("time to reach [s]", *drive.rewards[:, [0, 2]].T)

@@ -29,9 +29,9 @@ from ctrl_rl_msgs.msg import TaskOutcome
 
 Array = NDArray[np.float64]
 _START_S = 0.5
-"""Until the first value of a run must be there."""
+"""Time until the first value of a run must arrive [s]."""
 _ANSWERED = 0.9
-"""Share of the odometry that values must answer."""
+"""Fraction of odometry messages that values must answer."""
 _DIGEST = "digest."
 
 
@@ -45,21 +45,21 @@ class DriveReport:
         outcome: Outcome, a constant of TaskOutcome.
         duration: Time until the outcome [s].
         collisions: Number of episodes that ended in a collision.
-        smallest_clearance: Smallest distance from the body to the nearest wall or obstacle [m].
+        smallest_clearance: Minimum distance from the body to a wall or obstacle [m].
         truth: True time, x, y (of a quadrotor x, z) in the frame map (n, 3) [s, m, m].
-        odometry: The same by the robot's odometry, in its own frame odom (n, 3) [s, m, m].
+        odometry: The same by the robot's odometry, in the frame odom (n, 3) [s, m, m].
         clearance: Time and clearance (n, 2) [s, m].
         commands: Time, speed, turn rate (n, 3) [s, m/s, rad/s]; of a quadrotor time, T_1, T_2 [s, N, N].
         rewards: Time, reward, time to reach (n, 3) [s, 1, s]; no rows if none was recorded.
         oc_values: Time, optimal control value (n, 2) [s, 1]; no rows if none was recorded.
-        latencies: Time from the publication of a scan to that of the command that answers it [s].
+        latencies: Time from publishing a scan to publishing the command that answers it [s].
         messages: Number of recorded messages.
         lost: Number of messages published while the recorder listened, but not recorded.
-        predictions: Time, one-step error of the latent model, and that of "nothing changes" (n, 3).
+        predictions: Time, one-step error of the latent model, and error of predicting no change (n, 3).
         latent: Latent model of the controller; None if another driver drove.
         movers: Moving obstacles of the task.
-        safety_filter: Answers of the safety filter, or of the flight guard; None where neither ran.
-        promised: Kinds of files that the run was started with: "policy", "time_to_reach", "oc_value" and so on.
+        safety_filter: Answers of the safety filter or flight guard; None if neither ran.
+        promised: Kinds of files that the run was started with, such as "policy", "time_to_reach" or "oc_value".
     """
 
     task: str
@@ -90,17 +90,17 @@ class DriveReport:
 
     @property
     def time_to_reach(self) -> float:
-        """At the start [s]; NaN where no reward was recorded."""
+        """Time to reach at the start [s]; NaN if no reward was recorded."""
         return float(self.rewards[0, 2]) if len(self.rewards) else float("nan")
 
     @property
     def left_grid(self) -> bool:
-        """Whether the drive left the value's grid, with a speed beyond it, say: then it may beat the time to reach."""
+        """Whether the drive left the value's grid, for instance by its speed: it may then beat the time to reach."""
         return bool(len(self.rewards) and np.isnan(self.rewards[:, 2]).any())
 
     @property
     def lacks(self) -> list[str]:
-        """Messages that the run's nodes should have published and that the bag lacks; empty if it is whole."""
+        """Description of messages that the run's nodes should have published but the bag lacks; empty if complete."""
         out = []
         if "time_to_reach" in self.promised:
             out += self._gaps("reward", self.rewards)
@@ -111,7 +111,7 @@ class DriveReport:
         return out
 
     def _gaps(self, name: str, values: Array) -> list[str]:
-        """Say what is missing of values that answer odometry one by one."""
+        """Describe what is missing of values that should answer each odometry message."""
         asked = self.odometry[:, 0]
         if not len(values):
             return [f"no {name}"]
@@ -122,7 +122,7 @@ class DriveReport:
         return []
 
     def latency(self, percentile: float) -> float:
-        """Return a percentile of the latencies [s], NaN where no command answers a scan."""
+        """Return a percentile of the latencies [s]; NaN if no command answers a scan."""
         return float(np.percentile(self.latencies, percentile)) if len(self.latencies) else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
@@ -171,10 +171,10 @@ class DriveReport:
 
 
 def read_drive(bag: Path) -> DriveReport:
-    """Read the drive of one robot, in one episode, from a bag; in any namespace, the first by name of several.
+    """Read one robot's drive in one episode from a bag; of several namespaces the first by name.
 
     Raises:
-        BagError: the bag cannot be read, or holds no episode.
+        BagError: The bag cannot be read, or has no episode.
     """
     stamps: dict[str, list[float]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)

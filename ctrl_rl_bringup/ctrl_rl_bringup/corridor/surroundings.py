@@ -1,4 +1,4 @@
-"""What a recorded drive tells about its surroundings: moving obstacles, and what the safety filter changed."""
+"""Surroundings of a recorded drive: moving obstacles, and what the safety filter changed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MoverTrack:
     track: NDArray[np.float64]
 
     def at(self, time: float) -> tuple[float, float]:
-        """Return its position at a time since the start [m]."""
+        """Return its position [m] at a time since the start [s]."""
         x, y = (np.interp(time, self.track[:, 0], self.track[:, column]) for column in (1, 2))
         return float(x), float(y)
 
@@ -64,20 +64,20 @@ _MODES = {
 }
 _STOPPED = 0.01
 _LONGEST = 1.0
-"""Time between two commands beyond which the simulation did not go on [s]."""
+"""Time between two commands that means that the simulation stood still [s]."""
 
 
 @dataclass(frozen=True)
 class FilterRecord:
-    """The filter's answers, one row each; those of the guard of a quadrotor are about thrusts.
+    """The answers of the safety filter, or of a quadrotor's flight guard, one per row.
 
     Attributes:
         times: Times since the start (n,) [s].
-        modes: Kinds of the answers, constants of SafetyStatus (n,); the first four are those of FlightStatus too.
+        modes: Kinds of the answers, constants of SafetyStatus (n,); the first four match FlightStatus.
         raw: Raw commands (n, 2) [m/s, rad/s]; thrusts [N].
-        sent: Commands in their place (n, 2) [m/s, rad/s]; thrusts [N].
-        margins: Margins of the certificates (n,) [m]; room of the guard's escapes; NaN where there is none.
-        flies: Whether they are those of a quadrotor's guard.
+        sent: Commands that were sent instead (n, 2) [m/s, rad/s]; thrusts [N].
+        margins: Margins of the certificates, or room of the guard's escapes (n,) [m]; NaN where there is none.
+        flies: Whether they are a flight guard's.
     """
 
     times: NDArray[np.float64]
@@ -89,18 +89,18 @@ class FilterRecord:
 
     @property
     def changed(self) -> NDArray[np.bool_]:
-        """Whether something else than the raw command was sent (n,)."""
+        """Whether another command than the raw one was sent (n,)."""
         return np.asarray(self.modes != SafetyStatus.PASSED)
 
     @property
     def held(self) -> float:
-        """Time for which the robot was held although the raw command asked it to move [s]."""
+        """Time for which the robot was stopped although the raw command was to move [s]."""
         held = (np.abs(self.raw[:, 0]) > _STOPPED) & (np.abs(self.sent[:, 0]) <= _STOPPED)
         return float(np.minimum(np.diff(self.times), _LONGEST)[held[:-1]].sum())
 
     @property
     def changes(self) -> int:
-        """Number of times that the filter began to change commands, or left off."""
+        """Number of times that the filter started or stopped changing commands."""
         return int(np.count_nonzero(np.diff(self.changed)))
 
     def as_dict(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ class FilterRecord:
 
 
 def read_filter(bag: Path, begin: float, end: float, topic: str = FILTER) -> FilterRecord | None:
-    """Return the answers of filter or guard between two stamps [s] of a bag, by their topic; None without any."""
+    """Return the answers of filter or guard between two stamps [s]; None if there are none."""
     rows, flies = [], topic == GUARD
     for message in read_messages(bag, [topic]):
         data: Any = message.data

@@ -1,1 +1,1 @@
-"""The moving picture of the README: the navigator drives through a warehouse, a person crosses, the filter acts."""
+"""The README's animation: the navigator drives through a warehouse, a person crosses, the filter acts."""

@@ -1,4 +1,4 @@
-"""Draws the drive of the README: the robot rolls down its time to reach, a person crosses, the filter acts."""
+"""Makes the README's animation: a drive by the real nodes down the time to reach; a person crosses, the filter acts."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _PERSON: dict[str, Any] = {
 
 
 def drive(folder: Path, speed: float) -> DriveReport:
-    """Drive once, record everything in a new folder, and return what the bag says.
+    """Drive once, record everything in a new folder, and return the report.
 
     Args:
         folder: Folder of the run, with the task's file beside it.
@@ -80,17 +80,17 @@ def drive(folder: Path, speed: float) -> DriveReport:
 
 
 FRAME, FRAMES = 0.05, 200
-"""Time of a frame [s], and number of them: with the last one held the picture takes 12 s."""
+"""Time per frame [s] and number of frames; with the last one held the animation takes 12 s."""
 _CONTOURS = 5.0
 _SHOWN = 0.5
-"""How long before and after a changed command the outline is coloured, so that it is seen [s of the drive]."""
+"""Time before and after a changed command for which the outline is coloured [s of the drive]."""
 
 
 def draw(drive: DriveReport, path: Path) -> None:
-    """Write the moving picture of a drive.
+    """Write the animation of a drive.
 
     Args:
-        drive: The drive, see `hero.drive.drive`.
+        drive: The drive, from `drive`.
         path: File to write.
     """
     task = load_navigation_task(drive.task)

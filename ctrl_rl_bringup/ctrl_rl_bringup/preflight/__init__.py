@@ -1,1 +1,1 @@
-"""The pre-flight: what is wrong with a robot before it drives, by what its topics tell."""
+"""The pre-flight: finds what is wrong with a robot before it drives, from its topics."""

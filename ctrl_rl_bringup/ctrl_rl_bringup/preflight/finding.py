@@ -27,9 +27,9 @@ class Finding:
 
     Attributes:
         check: Name of the check.
-        level: Severity: ok, to note, no-go, or left out.
+        level: Severity: ok, note, no-go, or left out.
         text: The finding in one line, with its figures.
-        advice: Remedy for the user; empty where nothing is to be done.
+        advice: What the user can do; empty if nothing is to be done.
     """
 
     check: str
@@ -38,28 +38,28 @@ class Finding:
     advice: str = ""
 
     def __post_init__(self) -> None:
-        """Escape what cannot be printed: frames and nodes are named by whoever sends them."""
+        """Escape unprintable characters: senders choose the names of frames and nodes."""
         object.__setattr__(self, "text", printable(self.text).replace("\n", " "))
         object.__setattr__(self, "advice", printable(self.advice).replace("\n", " "))
 
 
 def ok(check: str, text: str) -> Finding:
-    """Return a finding that nothing is wrong."""
+    """Make a finding that nothing is wrong."""
     return Finding(check, Level.OK, text)
 
 
 def note(check: str, text: str, advice: str = "") -> Finding:
-    """Return a finding that a user should know, but that does not keep the robot from driving."""
+    """Make a finding that the user should know, but that does not prevent driving."""
     return Finding(check, Level.NOTE, text, advice)
 
 
 def no_go(check: str, text: str, advice: str) -> Finding:
-    """Return a finding that keeps the robot from driving."""
+    """Make a finding that prevents driving."""
     return Finding(check, Level.NO_GO, text, advice)
 
 
 def left_out(check: str, text: str) -> Finding:
-    """Return that a check was not made, and why."""
+    """Make a finding that a check was left out, and why."""
     return Finding(check, Level.LEFT_OUT, text)
 
 
@@ -68,7 +68,7 @@ _USUAL = find_robot(DEFAULT_ROBOT)
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the checks, under this suite's controllers; what is a robot's is that of `--robot` unless given."""
+    """Limits of the checks for this suite's controllers; properties of the robot come from `--robot` unless given."""
 
     scan_rate: FiniteNumber = 4.0
     """Minimum scans per second [Hz]."""
@@ -77,7 +77,7 @@ class Limits:
     """Minimum odometry messages per second [Hz]."""
 
     largest_gap: FiniteNumber = 0.5
-    """Longest silence of scan or odometry [s]; the controllers stop the robot after 0.5 s."""
+    """Maximum silence of scan or odometry [s]; the controllers stop the robot after 0.5 s."""
 
     largest_age: FiniteNumber = 0.5
     """Maximum age of a stamp on arrival, by this computer's clock [s]."""
@@ -98,19 +98,19 @@ class Limits:
     """Direction of the scan's zero bearing in the robot's frame that the controller is told [rad]."""
 
     lidar_x_tolerance: FiniteNumber = 0.05
-    """Largest difference between lidar_x and TF [m]."""
+    """Maximum difference between lidar_x and TF [m]."""
 
     lidar_yaw_tolerance: FiniteNumber = 0.1
-    """Largest difference between lidar_yaw and TF [rad]."""
+    """Maximum difference between lidar_yaw and TF [rad]."""
 
     least_charge: FiniteNumber = 0.2
-    """Least charge of the battery, 0 to 1."""
+    """Minimum charge of the battery, 0 to 1."""
 
     least_voltage: FiniteNumber = _USUAL.least_voltage
-    """Least voltage of the battery [V]."""
+    """Minimum voltage of the battery [V]."""
 
     robot_radius: FiniteNumber = _USUAL.radius
-    """Radius around base_link that holds all of the robot [m]; no echo can lie within."""
+    """Radius around base_link that contains the robot [m]; no echo can lie within."""
 
     map_share: FiniteNumber = 0.6
     """Minimum share of echoes that lie near an occupied cell of the map, 0 to 1."""
@@ -125,7 +125,7 @@ class Limits:
     """Maximum time from a command to its effect in odometry [s]."""
 
     def of(self, robot: Robot) -> Limits:
-        """Return the limits with what is a robot's, where it was left at that of the usual one."""
+        """Replace default properties of the robot by those of another one."""
         own = _of(robot)
         return replace(self, **{name: own[name] for name, usual in _of(_USUAL).items() if getattr(self, name) == usual})
 

@@ -1,4 +1,4 @@
-"""Checks of frames: their names by REP-105, the tree that holds them, and where TF says that the lidar is."""
+"""Checks of frames: names by REP-105, the tree, and where TF places the lidar."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STATE_PUBLISHER = "start robot_state_publisher with the robot's URDF (turtlebot
 
 
 def check_names(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find frames that are not named as REP-105 wants, and messages without a frame."""
+    """Find frames whose names violate REP-105, and messages without a frame."""
     if not (heard.odometry and heard.scans):
         return
     odom, base, scan = heard.odometry[-1].frame, heard.odometry[-1].child, heard.scans[-1].frame
@@ -35,7 +35,7 @@ def check_names(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_tree(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find frames that hang in no tree, hang in two, or are not kept up."""
+    """Find frames outside the tree, with two parents, or out of date."""
     if heard.frames is None:
         yield left_out("frame tree", "tf2_msgs is not installed here")
         return
@@ -68,7 +68,7 @@ def check_tree(heard: Recording, limits: Limits) -> Iterator[Finding]:
 
 
 def check_odometry_agrees(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find odometry whose message and transform tell different poses."""
+    """Find odometry whose message and transform disagree."""
     if heard.frames is None or not heard.odometry:
         return
     last = heard.odometry[-1]
@@ -85,7 +85,7 @@ def check_odometry_agrees(heard: Recording, _limits: Limits) -> Iterator[Finding
 
 
 def check_mounting(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find a lidar that TF places elsewhere than the controllers are told, or upside-down."""
+    """Find a lidar that TF places upside-down, or elsewhere than the controllers' parameters."""
     if heard.frames is None or not (heard.odometry and heard.scans):
         return
     pose = heard.frames.between(heard.odometry[-1].child.lstrip("/"), heard.scans[-1].frame.lstrip("/"))

@@ -1,4 +1,4 @@
-"""The frames that /tf and /tf_static tell, as links from parent to child."""
+"""The frames of /tf and /tf_static, as links from parent to child."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class FrameTree:
     """Links between frames; a child with two parents keeps both, because that is a fault.
 
     Attributes:
-        conflicts: Transforms that were heard, by which two publishers of one are told.
-        conflict: The first contradiction between transforms; empty for none.
+        conflicts: Detector of transforms with two publishers.
+        conflict: First contradiction between transforms; empty for none.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class FrameTree:
         self._links: dict[str, dict[str, Link]] = {}
 
     def add(self, link: Link) -> None:
-        """Take a link, in place of the former one between the two frames."""
+        """Add a link, replacing the former one between the two frames."""
         of_child = self._links.setdefault(link.child, {})
         of_child.pop(link.parent, None)
         of_child[link.parent] = link  # the last one heard is the last one
@@ -57,11 +57,11 @@ class FrameTree:
         return tuple(sorted(self._links.get(frame, {})))
 
     def link(self, parent: str, child: str) -> Link | None:
-        """Return the link between two frames, None where there is none."""
+        """Return the link between two frames, or None."""
         return self._links.get(child, {}).get(parent)
 
     def between(self, target: str, source: str) -> Matrix | None:
-        """Return the pose (4, 4) of a frame `source` in a frame `target` [m]; None where no links connect them."""
+        """Return the pose (4, 4) [m] of frame `source` in frame `target`; None if they are not connected."""
         up, down = self._to_ancestors(target), self._to_ancestors(source)
         common = next((frame for frame in down if frame in up), None)
         return None if common is None else np.linalg.inv(up[common]) @ down[common]
@@ -79,7 +79,7 @@ class FrameTree:
 
 
 def pose_matrix(translation: tuple[float, float, float], rotation: tuple[float, float, float, float]) -> Matrix | None:
-    """Return a pose as a matrix (4, 4); None where it is not finite, or the quaternion x, y, z, w has no length."""
+    """Return a pose as a matrix (4, 4); None if it is not finite or the quaternion x, y, z, w is zero."""
     x, y, z, w = rotation
     norm = float(np.linalg.norm(rotation))
     if not (np.isfinite(translation).all() and np.isfinite(norm) and norm > 1e-6):

@@ -1,4 +1,4 @@
-"""All checks of a pre-flight, in the order in which they are read."""
+"""Runs all checks of a pre-flight, in the order of the report, and writes the report."""
 
 from __future__ import annotations
 
@@ -44,27 +44,27 @@ ON_THE_FLOOR: tuple[Callable[[Motion, Limits], Iterator[Finding]], ...] = (
     motion_checks.check_turn_by_scan,
     motion_checks.check_shift_by_scan,
 )
-"""Checks that need a robot whose scans move with it."""
+"""Checks whose scans must move with the robot."""
 
 
 def inspect_standing(heard: Recording, limits: Limits) -> list[Finding]:
-    """Return what is found on a robot that stands."""
+    """Return the findings on a standing robot."""
     return [finding for check in STANDING for finding in check(heard, limits)]
 
 
 def inspect_moving(motion: Motion, limits: Limits, on_the_floor: bool) -> list[Finding]:
-    """Return what is found on a robot that drove the pattern."""
+    """Return the findings on a robot that drove the pattern."""
     checks = (*MOVING, *(ON_THE_FLOOR if on_the_floor else ()))
     return [finding for check in checks for finding in check(motion, limits)]
 
 
 def may_go(findings: list[Finding]) -> bool:
-    """Return whether nothing keeps the robot from driving."""
+    """Return whether the robot may drive."""
     return all(finding.level is not Level.NO_GO for finding in findings)
 
 
 def as_text(findings: Sequence[Finding]) -> str:
-    """Return a line for each finding, one for what to do about it, and the verdict."""
+    """Return a line per finding, one with its advice, and the verdict."""
     lines = []
     for finding in findings:
         lines.append(f"{finding.level.value:<9} {finding.check:<24} {finding.text}")

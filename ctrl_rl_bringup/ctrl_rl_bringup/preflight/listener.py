@@ -1,4 +1,4 @@
-"""The node that hears a robot: sensors, frames, battery, map, and who is at each topic."""
+"""The node that listens to a robot: sensors, frames, battery, map, and the endpoints of each topic."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ except ImportError:  # an install by wheels that was built without it
     TFMessage = None
 
 _ANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Hears every publisher, and keeps what comes in bunches."""
+"""QoS that matches every publisher and keeps bursts of messages."""
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STEP_S = 0.1
 _PLANAR = OdometryReader(("x", "y", "theta", "v", "omega"))
 _ANOTHER_TIME_S = 3600.0
-"""Stamps so far from this computer's clock are taken for a simulation's, whose /clock may be heard of last."""
+"""Stamps this far from the computer's clock are taken as simulated: /clock may be discovered last."""
 
 
 class Listener(Node):
-    """Records what a robot tells; with a namespace or remappings, of the robot that these name.
+    """Records the topics of the robot that namespace and remappings select.
 
     Args:
         unstamped: Whether commands will be Twist instead of TwistStamped.
@@ -79,7 +79,7 @@ class Listener(Node):
             self.create_subscription(TFMessage, "/tf_static", lambda message: self._on_frames(message, True), _STATIC)
 
     def wait(self, executor: Executor, patience: float) -> None:
-        """Return once scan, odometry and the clock that they are stamped by have come, or after some time [s]."""
+        """Wait for scan, odometry and the clock of their stamps, at most some time [s]."""
         deadline = time.monotonic() + patience
         while time.monotonic() < deadline and not self._can_listen():
             executor.spin_once(timeout_sec=_STEP_S)
@@ -91,7 +91,7 @@ class Listener(Node):
         return heard.simulated or abs(heard.scans[-1].times.age) < _ANOTHER_TIME_S
 
     def listen(self, executor: Executor, duration: float, progress: Callable[[float], None]) -> Recording:
-        """Record for some time [s], tell the time that has passed [s] now and then, and return the recording."""
+        """Record for some time [s], reporting the elapsed time [s], and return the recording."""
         heard = self.heard
         heard.scans.clear()
         heard.odometry.clear()
@@ -104,7 +104,7 @@ class Listener(Node):
         return heard
 
     def look_around(self) -> None:
-        """Note who publishes and subscribes the topics of the recording."""
+        """Record the publishers and subscribers of each topic."""
         names = ("scan", "odom", "cmd_vel", self.heard.command_topic, "battery_state", "map", "/tf", "/tf_static")
         for name in names:
             full = self.resolve_topic_name(name)
@@ -115,7 +115,7 @@ class Listener(Node):
             )
 
     def _others(self, infos: list[Any]) -> tuple[Endpoint, ...]:
-        """Return the endpoints that are not this program's."""
+        """Return the endpoints of other programs."""
         own = self.get_fully_qualified_name()
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
         return tuple(
@@ -125,7 +125,7 @@ class Listener(Node):
         )
 
     def _now(self) -> float:
-        """Return the time that stamps are held to [s]: the simulation's where there is a /clock."""
+        """Return the time to compare stamps with [s]: simulated time if there is a /clock."""
         return time.monotonic() + self._clock_offset if self.heard.simulated else time.time()
 
     def _times(self, header: Any) -> Times:

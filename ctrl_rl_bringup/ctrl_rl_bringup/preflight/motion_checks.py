@@ -16,15 +16,15 @@ from ctrl_rl_bringup.preflight.robot_checks import STANDS
 from ctrl_rl_bringup.preflight.scan_checks import shift_mismatches, turn_mismatches
 
 _SETTLED_S = 0.6
-"""Time before the end of a rest in which the robot has come to a stand [s]."""
+"""Time at the end of a rest in which the robot stands [s]."""
 _CLEARER = 0.7
-"""A hypothesis is believed when its mismatch is less than this part of the other's."""
+"""A hypothesis is believed if its mismatch is below this fraction of the other's."""
 _LEAST_MISMATCH = 0.012
-"""Mismatch of two scans of one place [m]: noise, and the distance between neighbouring echoes."""
+"""Mismatch of two scans from one place [m]: noise, and the spacing of echoes."""
 
 
 class Motion(NamedTuple):
-    """A pattern as it was driven, and what was heard meanwhile."""
+    """A pattern as driven, with the recording of that time."""
 
     heard: Recording
     parts: Sequence[Part]
@@ -40,7 +40,7 @@ class Motion(NamedTuple):
         return np.concatenate(sets) if sets else np.empty((0, 2))
 
     def around(self, name: str) -> tuple[Part, Part, Part] | None:
-        """Return a phase with the rests before and after it; None where the pattern ended before."""
+        """Return a phase with the rests before and after it; None if the pattern ended earlier."""
         for before, part, after in zip(self.parts, self.parts[1:], self.parts[2:], strict=False):
             if part.phase.name == name and not after.stopped:
                 return before, part, after
@@ -48,7 +48,7 @@ class Motion(NamedTuple):
 
 
 def check_pattern(motion: Motion, _limits: Limits) -> Iterator[Finding]:
-    """Find that the pattern was cut off by an obstacle or an unusable scan."""
+    """Find whether an obstacle or an unusable scan interrupted the pattern."""
     last = motion.parts[-1]
     if last.stopped:
         words = f"stopped in '{last.phase.name}': {last.stopped}"
@@ -82,7 +82,7 @@ def check_response(motion: Motion, limits: Limits) -> Iterator[Finding]:
 
 
 def check_pose(motion: Motion, limits: Limits) -> Iterator[Finding]:
-    """Find odometry whose pose does not follow its own speeds."""
+    """Find odometry whose pose contradicts its speeds."""
     ratios = []
     for name in ("ahead", "back"):
         around = motion.around(name)
@@ -97,7 +97,7 @@ def check_pose(motion: Motion, limits: Limits) -> Iterator[Finding]:
 
 
 def check_stands(motion: Motion, _limits: Limits) -> Iterator[Finding]:
-    """Find a robot that goes on after a zero, or after commands stop coming."""
+    """Find a robot that keeps moving after a zero command, or after commands stop."""
     rests = [part for part in motion.parts[1:] if part.phase.name == "rest"]
     moving = [fast for part in rests if (fast := _speed_at_end(motion, part)) is not None]
     if moving:
@@ -120,7 +120,7 @@ def check_stands(motion: Motion, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_turn_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
-    """Find a mirrored or upside-down lidar, and odometry that turns more or less than the scans."""
+    """Find a mirrored or upside-down lidar, and odometry that turns differently from the scans."""
     check, around = "turn by scan", motion.around("turn left")
     if around is None:
         return
@@ -151,7 +151,7 @@ def check_turn_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
 
 
 def check_shift_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
-    """Find a lidar that is mounted turned, whatever TF says."""
+    """Find a lidar that is mounted at another angle than TF says."""
     check, around = "way by scan", motion.around("ahead")
     if around is None:
         return
@@ -181,7 +181,7 @@ def check_shift_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
 
 
 def _scale_finding(check: str, against: str, ratios: Sequence[float], tolerance: float) -> Finding:
-    """Return what is found on ratios that should be 1."""
+    """Return the finding about ratios that should be 1."""
     worst = max(ratios, key=lambda ratio: abs(ratio - 1.0))
     words = f"{worst:.2f} times {against}"
     if not math.isfinite(worst) or abs(worst) < 0.1:
@@ -195,7 +195,7 @@ def _scale_finding(check: str, against: str, ratios: Sequence[float], tolerance:
 
 
 def _response(motion: Motion, part: Part) -> tuple[float, float]:
-    """Return measured over commanded speed of a phase, and the time until half of it is there [s]; inf for never."""
+    """Return a phase's measured over commanded speed, and the time to reach half of it [s], or inf."""
     axis, command = (0, part.phase.v) if part.phase.v else (1, part.phase.omega)
     samples = motion.odometry(part.begin, part.end)
     values = np.array([each.twist[axis] / command for each in samples])
@@ -209,19 +209,19 @@ def _response(motion: Motion, part: Part) -> tuple[float, float]:
 
 
 def _speed_at_end(motion: Motion, part: Part) -> tuple[float, float] | None:
-    """Return the size of speed [m/s] and turn rate [rad/s] at the end of a part; None without odometry then."""
+    """Return the magnitudes of speed [m/s] and turn rate [rad/s] at the end of a part; None without odometry."""
     samples = motion.odometry(part.end - 0.3, part.end)
     return (abs(samples[-1].twist[0]), abs(samples[-1].twist[1])) if samples else None
 
 
 def _way(samples: Sequence[OdometrySample]) -> float:
-    """Return how far ahead of the first pose the last one lies [m]."""
+    """Return how far ahead of the first pose the last one is [m]."""
     (x, y, yaw), (end_x, end_y, _) = samples[0].pose, samples[-1].pose
     return math.cos(yaw) * (end_x - x) + math.sin(yaw) * (end_y - y)
 
 
 def _integrated_way(samples: Sequence[OdometrySample]) -> float:
-    """Return the integral of the speeds over their stamps [m]."""
+    """Return the integral of the speeds over time [m]."""
     return float(np.trapezoid([each.twist[0] for each in samples], [each.times.stamp for each in samples]))
 
 

@@ -1,4 +1,4 @@
-"""What a pre-flight heard: messages as plain data, and who publishes and subscribes what."""
+"""What a pre-flight heard: messages as plain data, and the endpoints of topics."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ctrl_rl_bringup.preflight.frames import FrameTree
 from ctrl_rl_core import OccupancyMap, ScanGeometry
 
 _MOST = 50_000
-"""Messages of a topic that are kept: ten minutes at 80 Hz."""
+"""Number of messages kept per topic: ten minutes at 80 Hz."""
 Points = NDArray[np.float64]
 
 
 class Times(NamedTuple):
-    """When a message came, and when it was made.
+    """When a message arrived, and when it was stamped.
 
     Attributes:
         arrival: Steady time of this computer on arrival [s].
@@ -39,7 +39,7 @@ class ScanSample:
     """One sensor_msgs/LaserScan.
 
     Attributes:
-        times: When it came, and when it was made.
+        times: Arrival and stamp.
         frame: Frame of the lidar.
         ranges: Ranges (beams,) [m].
         geometry: Bearings and limits of its beams in the lidar's frame.
@@ -51,7 +51,7 @@ class ScanSample:
     geometry: ScanGeometry
 
     def points(self, lidar_x: float, lidar_yaw: float) -> Points:
-        """Return its echoes in the robot's frame (n, 2) [m], for a lidar of this position [m] and direction [rad]."""
+        """Return its echoes in the robot's frame (n, 2) [m], given the lidar's position [m] and direction [rad]."""
         return echoes(self.ranges, self.geometry.turned(lidar_yaw), math.inf, lidar_x)
 
 
@@ -60,12 +60,12 @@ class OdometrySample:
     """One nav_msgs/Odometry.
 
     Attributes:
-        times: When it came, and when it was made.
+        times: Arrival and stamp.
         frame: Frame that the pose is given in.
         child: Frame that it places.
         pose: x, y, yaw [m, m, rad].
         twist: Speed [m/s] and turn rate [rad/s].
-        fault: Reason why nobody may use it, whose numbers are then NaN; empty where it is usable.
+        fault: Reason why it is unusable, with NaN for its numbers; empty if it is usable.
     """
 
     times: Times
@@ -77,7 +77,7 @@ class OdometrySample:
 
 
 class Battery(NamedTuple):
-    """Charge, 0 to 1, and voltage [V] of a sensor_msgs/BatteryState; NaN where the driver does not tell."""
+    """Charge, 0 to 1, and voltage [V] of a sensor_msgs/BatteryState; NaN if the driver does not report them."""
 
     charge: float
     voltage: float
@@ -93,12 +93,12 @@ class Endpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Topic:
-    """Who is at a topic.
+    """Endpoints of a topic.
 
     Attributes:
         name: Full name of the topic.
-        publishers: Publishers, this program's own left out.
-        subscribers: Subscribers, this program's own left out.
+        publishers: Publishers, without this program's.
+        subscribers: Subscribers, without this program's.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Topic:
 
 @dataclass
 class Recording:
-    """What was heard in some time.
+    """What was heard in a span of time.
 
     Attributes:
         begin: Steady time at which the time began [s].
@@ -116,12 +116,12 @@ class Recording:
         simulated: Whether a /clock gave the time.
         scans: Scans, in order of arrival.
         odometry: Odometry, in order of arrival.
-        battery: Last state of the battery; None where none came.
-        frames: Frames by /tf and /tf_static; None where tf2_msgs is not installed.
-        map: Map and its frame; None where none came.
-        map_fault: Reason why a map that came is unusable; empty where it is not.
-        map_pose: Frame, and x, y, yaw [m, m, rad] in it, of the last amcl_pose; None where none came.
-        topics: Who is at each topic, by the names that this program uses.
+        battery: Last state of the battery, or None.
+        frames: Frames of /tf and /tf_static; None if tf2_msgs is not installed.
+        map: Map and its frame, or None.
+        map_fault: Reason why the map is unusable, or empty.
+        map_pose: Frame, and x, y, yaw [m, m, rad] in it, of the last amcl_pose, or None.
+        topics: Endpoints of each topic, by this program's names.
         unstamped: Whether commands will be Twist instead of TwistStamped.
         command_topic: Topic that commands will be sent on, a key of `topics`.
     """
@@ -141,5 +141,5 @@ class Recording:
     command_topic: str = "cmd_vel"
 
     def topic(self, name: str) -> Topic:
-        """Return who is at a topic, by the name that this program uses."""
+        """Return a topic's endpoints, by this program's name for it."""
         return self.topics.get(name, Topic(name))

@@ -1,4 +1,4 @@
-"""Checks of a robot that stands: its odometry, its battery, and whether its map and pose agree with the scan."""
+"""Checks of a standing robot: its odometry, its battery, and whether map and pose agree with the scan."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STANDS = (0.02, 0.05)
 
 
 def check_odometry(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find odometry that is not finite or without attitude, and a robot that moves though nobody drives it."""
+    """Find odometry that is not finite or has no attitude, and a robot that moves undriven."""
     if not heard.odometry:
         return
     faults = [each.fault for each in heard.odometry if each.fault]
@@ -37,7 +37,7 @@ def check_odometry(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_battery(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find an empty battery; many drivers tell its voltage alone."""
+    """Find an empty battery; many drivers report only its voltage."""
     if heard.battery is None:
         name = heard.topic("battery_state").name
         yield note("battery", f"nothing on {name}", "look at the battery yourself: a burger's LiPo needs 11 V and more")
@@ -60,7 +60,7 @@ def check_battery(heard: Recording, limits: Limits) -> Iterator[Finding]:
 
 
 def check_map(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find a map, or a pose in it, that does not agree with the scan."""
+    """Find a map or pose that disagrees with the scan."""
     check = "map and pose"
     if heard.map_fault:
         yield no_go(check, heard.map_fault, "let map_server load another map")
@@ -106,7 +106,7 @@ def near_share(grid: OccupancyMap, points: Points, pose: tuple[float, float, flo
 
 
 def _pose_in(frame: str, heard: Recording) -> tuple[float, float, float] | None:
-    """Return x, y, yaw of the robot in a frame [m, m, rad], by TF or by amcl_pose; None where neither tells."""
+    """Return x, y, yaw of the robot in a frame [m, m, rad], from TF or amcl_pose, or None."""
     base = heard.odometry[-1].child.lstrip("/")
     matrix = heard.frames.between(frame.lstrip("/"), base) if heard.frames is not None else None
     if matrix is not None:

@@ -16,9 +16,9 @@ from ctrl_rl_bringup.preflight.recording import Points, Recording
 from ctrl_rl_core import ScanError, ScanGeometry
 
 _FARTHEST = 0.3
-"""Distance at which an echo without a counterpart counts [m]."""
+"""Distance assumed for an echo without a counterpart [m]."""
 _MOST = 250
-"""Echoes of the second scan that are looked up, spread evenly; more tell no more."""
+"""Number of echoes of the second scan to look up, spread evenly; more would not help."""
 Array = NDArray[np.float64]
 
 
@@ -60,11 +60,11 @@ def _mismatches(before: Points, moved: NDArray[np.float64]) -> Array:
 _AHEAD = np.arange(-30, 31) * DIRECTIONS // 360
 """Directions of the cone ahead of the robot that must hold an echo."""
 _FEWEST, _ALWAYS, _WITHIN = 5, 0.8, 0.95
-"""Scans in which a beam must meet the robot itself, the share of them, and the part of its radius that is surely it."""
+"""Minimum number of scans, fraction of them in which a beam hits the robot, and fraction of its radius to count."""
 
 
 def check_beams(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find scans of impossible or contradictory geometry, and lidars that see too little."""
+    """Find scans with impossible or contradictory geometry, and lidars that see too little."""
     if not heard.scans:
         return
     check = "beams"
@@ -118,7 +118,7 @@ def check_echoes(heard: Recording, limits: Limits) -> Iterator[Finding]:
 
 
 def check_frozen(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find a lidar that sends the same scan again and again; the noise of a real one never repeats."""
+    """Find a lidar that repeats the same scan; real noise never repeats."""
     contents = [scan.ranges.tobytes() for scan in heard.scans]
     if len(contents) < 2:
         return
@@ -131,7 +131,7 @@ def check_frozen(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_own_body(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find beams that always meet the robot itself: a cable, a post, a lidar that sits elsewhere."""
+    """Find beams that always hit the robot itself: a cable, a post, a misplaced lidar."""
     check = "own body"
     scans = [scan for scan in heard.scans if not _is_wrong(scan.geometry)]
     if len(scans) < _FEWEST or limits.robot_radius <= 0.0:

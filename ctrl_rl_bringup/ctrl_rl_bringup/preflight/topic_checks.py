@@ -1,4 +1,4 @@
-"""Checks of the graph: what is published and heard, by whom, of which type and quality of service."""
+"""Checks of the graph and of time: publishers, subscribers, types, quality of service, rates and stamps."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ctrl_rl_bringup.preflight.recording import Endpoint, Recording, Times, Topi
 from ctrl_rl_core import COMMAND, SENSOR
 
 KINDS = {"scan": "sensor_msgs/msg/LaserScan", "odom": "nav_msgs/msg/Odometry"}
-"""Types of the topics without which no robot drives."""
+"""Types of the topics that every robot needs."""
 ROBOT_COMMANDS = "cmd_vel"
 """Topic that the robot's base listens to."""
 _ENDLESS_NS = 9 * 10**18
-"""Times from this on mean that there is no limit [ns]."""
+"""Durations from here on mean no limit [ns]."""
 _PASSES_ON = ("watchdog", "twist_mux", "collision_monitor", "velocity_smoother")
-"""Nodes, by the end of their names, that may publish the robot's cmd_vel: they pass others' commands on."""
+"""Endings of the names of nodes that may publish the robot's cmd_vel, because they forward commands."""
 
 
 def check_sensors(heard: Recording, _limits: Limits) -> Iterator[Finding]:
@@ -74,7 +74,7 @@ def check_single_source(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_command_type(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find whether the robot listens to commands of the type that will be sent."""
+    """Find whether the robot subscribes to commands of the type that will be sent."""
     topic, check = heard.topic(heard.command_topic), "command type"
     ours = "geometry_msgs/msg/Twist" if heard.unstamped else "geometry_msgs/msg/TwistStamped"
     kinds = {each.kind for each in topic.subscribers}
@@ -121,7 +121,7 @@ def check_qos(heard: Recording, _limits: Limits) -> Iterator[Finding]:
 
 
 def check_commanders(heard: Recording, _limits: Limits) -> Iterator[Finding]:
-    """Find who else drives the robot."""
+    """Find other nodes that drive the robot."""
     check, found = "only driver", False
     for name in dict.fromkeys((heard.command_topic, ROBOT_COMMANDS)):
         topic = heard.topic(name)
@@ -148,13 +148,13 @@ def _deaf(topic: Topic) -> list[str]:
 
 
 def _incompatible(publisher: QoSProfile, subscriber: QoSProfile) -> str:
-    """Return why a subscriber does not hear a publisher, empty where it does."""
+    """Return why a subscriber does not hear a publisher, or empty."""
     compatibility, reason = qos_check_compatible(_comparable(publisher), _comparable(subscriber))
     return str(reason).strip().rstrip(";").replace("ERROR: ", "") if compatibility == QoSCompatibility.ERROR else ""
 
 
 def _comparable(profile: QoSProfile) -> QoSProfile:
-    """Return a profile whose endless times are unset: the graph shows them as set."""
+    """Unset a profile's endless durations, which the graph reports as set."""
 
     def limited(time: Duration) -> Duration:
         return time if 0 < time.nanoseconds < _ENDLESS_NS else Duration()
@@ -185,14 +185,14 @@ def check_rates(heard: Recording, limits: Limits) -> Iterator[Finding]:
 
 
 def rate_finding(check: str, times: Sequence[Times], heard: Recording, least: float, largest_gap: float) -> Finding:
-    """Return what is found on the rate of one topic.
+    """Return the finding about one topic's rate.
 
     Args:
         check: Name of the check.
         times: Times of its messages, in order; at least one.
         heard: The recording, for its begin and end.
         least: Minimum rate [Hz].
-        largest_gap: Longest silence [s].
+        largest_gap: Maximum silence [s].
     """
     arrivals = np.array([heard.begin, *(each.arrival for each in times), heard.end])
     gaps = np.diff(arrivals)
@@ -211,14 +211,14 @@ def rate_finding(check: str, times: Sequence[Times], heard: Recording, least: fl
 
 
 def check_stamps(heard: Recording, limits: Limits) -> Iterator[Finding]:
-    """Find stale and future stamps, and those that stand still or go back."""
+    """Find stale and future stamps, and stamps that do not rise."""
     for name, samples in (("scan", heard.scans), ("odom", heard.odometry)):
         if samples:
             yield stamp_finding(f"{name} stamps", [each.times for each in samples], heard.simulated, limits)
 
 
 def stamp_finding(check: str, times: Sequence[Times], simulated: bool, limits: Limits) -> Finding:
-    """Return what is found on the stamps of one topic.
+    """Return the finding about one topic's stamps.
 
     Args:
         check: Name of the check.

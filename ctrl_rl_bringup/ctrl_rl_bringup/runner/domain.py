@@ -1,4 +1,4 @@
-"""A ROS domain for one run alone: two runs in one domain hear each other, and both are spoilt."""
+"""Reserves a ROS domain for one run: two runs in one domain hear and spoil each other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ctrl_rl_core import CtrlRlError
 
 _VARIABLE = "ROS_DOMAIN_ID"
 _OWN_TOPICS = frozenset({"scan", "odom", "cmd_vel", "clock", "episode", "ground_truth", "joint_option_step"})
-"""Topics, by the last part of their names, that a run publishes itself."""
+"""Topics that a run publishes, by the last part of their names."""
 _LAST = 101
 """Domains up to this one have ports of their own on every system (ROS documentation, "The ROS_DOMAIN_ID")."""
 _HIGHEST = 232
@@ -28,21 +28,21 @@ _UNNAMED = "a node"
 
 
 class DomainError(CtrlRlError):
-    """Another run is at work in the ROS domain, or the domain has no number that ROS knows."""
+    """Another run uses the ROS domain, or the domain's number is invalid."""
 
 
 @contextmanager
 def own_domain(program: str) -> Iterator[int]:
-    """Keep a ROS domain for one run, and yield its number.
+    """Reserve a ROS domain for one run, and yield its number.
 
-    It is the one that ROS_DOMAIN_ID names. Where that is not set it is the first free one from 0 on; any other than 0
-    is said on standard error, and set for the nodes of the run.
+    It is ROS_DOMAIN_ID or, if that is not set, the first free one. Any other than 0 is reported on standard error and
+    set for the nodes of the run.
 
     Args:
-        program: name that what is said begins with.
+        program: Name at the beginning of the report.
 
     Raises:
-        DomainError: another run is at work in the domain.
+        DomainError: Another run uses the domain.
     """
     chosen = os.environ.get(_VARIABLE)
     if chosen:
@@ -58,24 +58,24 @@ def own_domain(program: str) -> Iterator[int]:
 
 
 def stay_local() -> None:
-    """Let the nodes of this process and its children talk on this machine alone, unless ROS's own variable is set."""
+    """Restrict the nodes of this process and its children to this machine, unless ROS's own variable is set."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 def keep_domain() -> None:
-    """Keep the ROS domain of this process for its run until the process ends.
+    """Reserve this process's ROS domain until the process ends.
 
     Raises:
-        DomainError: another run is at work in the domain.
+        DomainError: Another run uses the domain.
     """
     claim(_number(os.environ.get(_VARIABLE) or "0")).detach()
 
 
 def claim(number: int) -> socket.socket:
-    """Return what keeps a domain for a run of this machine as long as it is open.
+    """Return a lock that reserves a domain on this machine as long as it is open.
 
     Raises:
-        DomainError: another run keeps it, or nodes are heard in it that publish what a run publishes.
+        DomainError: Another run has it, or nodes in it publish a run's topics.
     """
     keeper = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -111,7 +111,7 @@ def _taken(who: str, number: int) -> DomainError:
 
 
 def _nodes_at_work(number: int) -> list[str]:
-    """Return the nodes that publish what a run publishes, as far as they are heard within a second."""
+    """Return the nodes discovered within a second that publish a run's topics."""
     context = Context()
     rclpy.init(context=context, domain_id=number, signal_handler_options=SignalHandlerOptions.NO)
     try:

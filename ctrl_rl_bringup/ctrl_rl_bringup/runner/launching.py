@@ -1,6 +1,6 @@
-"""A run under ROS's own launch, whatever its nodes are: recorder, nodes, a monitor that lets them go, then the report.
+"""A run under ROS's launch: recorder, nodes, a monitor that starts them, then the report.
 
-Imported by the launch files alone: launch is there where ROS is installed.
+Only launch files import this module: launch needs an installed ROS.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _READS: dict[str, Callable[[str], Any]] = {
 
 
 class LaunchError(CtrlRlError):
-    """An argument has no valid value, or a process failed; the launch ends with a code other than 0."""
+    """An argument is invalid or a process failed, so that the launch ends with a non-zero code."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ class Launch:
 def description(
     name: str, arguments: Mapping[str, tuple[str, str]], prepare: Callable[..., Launch]
 ) -> LaunchDescription:
-    """Return what `ros2 launch` is to do.
+    """Return the description for `ros2 launch`.
 
     Args:
         name: Name of the run, used for its folder.
         arguments: Default and description of each argument besides seed, speed, gui and folder, by name.
-        prepare: Gets the values of all arguments by name, and makes the folder.
+        prepare: Called with the values of all arguments by name; makes the folder.
     """
     folder = ("", f"new folder of the run; default runs/{name}-<date>-<time>")
     known = {**arguments, **_OF_ALL, "folder": folder}

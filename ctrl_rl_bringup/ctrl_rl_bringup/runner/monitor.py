@@ -1,4 +1,4 @@
-"""A monitor of drives: waits until the nodes listen to each other, starts the simulation, shows progress."""
+"""Monitors drives: waits until the nodes are connected, starts the simulation, and shows progress."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ProgressDisplay:
 
         Args:
             title: Title of the display.
-            lines: Number of lines, where no terminal shows a bar.
+            lines: Number of lines to print if there is no terminal for a bar.
         """
         self._title = title
         self._lines = lines
@@ -43,7 +43,7 @@ class ProgressDisplay:
         self._bar = tqdm(total=1.0, desc=title, bar_format=_LAYOUT) if sys.stderr.isatty() else None
 
     def show(self, progress: float, figures: str) -> None:
-        """Show the part of the way done, 0 to 1 (NaN where the task has no path), and a few words."""
+        """Show the fraction of the path done, 0 to 1 (NaN without a path), and a few words."""
         progress = min(1.0, max(0.0, progress)) if math.isfinite(progress) else 0.0
         if self._bar is not None:
             self._bar.set_postfix_str(figures, refresh=False)
@@ -55,7 +55,7 @@ class ProgressDisplay:
             self._say()
 
     def close(self) -> None:
-        """Say the last word and leave the terminal as it was."""
+        """Show the final state and restore the terminal."""
         if self._bar is not None:
             self._bar.close()
         self._say()
@@ -78,17 +78,17 @@ _RECORDED = ("scan", "odom", "episode", "/clock", "ground_truth")
 _SAID_EVERY_S = 10.0
 _SILENT_S = 20.0
 _STEP_S = 0.05
-"""Longer than a period of odometry."""
+"""Longer than a period of odometry [s]."""
 _ANSWER_S = 1.0
 
 
 class MonitorError(CtrlRlError):
-    """The nodes of a run did not come up, or fell silent."""
+    """The nodes of a run did not start, or fell silent."""
 
 
 @dataclass(frozen=True)
 class EpisodeProgress:
-    """State of an episode: number, outcome, time since the reset [s], part of the way done, minimum clearance [m]."""
+    """State of an episode: number, outcome, time since the reset [s], fraction of the path, minimum clearance [m]."""
 
     number: int
     outcome: int
@@ -106,9 +106,9 @@ class Monitor:
     """A node that follows the episodes of one robot.
 
     Args:
-        check: Called often; raises if a node of the run has died.
-        topics: Further topics that must be recorded, and must answer odometry before the drive begins.
-        ready_limit: Longest time until the nodes must be ready, and until a service must answer [s].
+        check: Called repeatedly; raises if a node of the run has died.
+        topics: Further topics that must be recorded and must answer odometry before the drive begins.
+        ready_limit: Time within which nodes must be ready and services must answer [s].
     """
 
     def __init__(
@@ -128,12 +128,12 @@ class Monitor:
         self._reset = self._node.create_client(ResetWorld, "sim_bridge/reset")
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Remove the node from the graph."""
         self._node.destroy_node()
 
     @contextmanager
     def session(self) -> Iterator[None]:
-        """Wait until all is ready; in the end pause the world, so that what is under way is answered, and leave."""
+        """Wait until everything is ready; at the end pause the world, to answer pending messages, and leave."""
         try:
             self.wait_until_ready()
             yield
@@ -142,12 +142,12 @@ class Monitor:
             self.close()
 
     def wait_until_ready(self) -> None:
-        """Return once simulator, driver and recorder have found each other, and each awaited topic has had a message.
+        """Wait until simulator, driver and recorder are connected and each awaited topic has had a message.
 
-        Says every ten seconds what is missing: on a busy machine nodes may take minutes to start.
+        Every ten seconds it logs what is missing: on a busy machine nodes may take minutes to start.
 
         Raises:
-            MonitorError: they have not within the limit, or a node of the run has died.
+            MonitorError: The limit has passed, or a node of the run has died.
         """
         self._wait_for(self._missing)
         for topic in self._unheard:
@@ -158,11 +158,11 @@ class Monitor:
         self._wait_for(self._unanswered)
 
     def run(self) -> None:
-        """Let the paused simulation go."""
+        """Resume the paused simulation."""
         self._call(self._pause, SetBool.Request(data=False))
 
     def pause(self) -> None:
-        """Let the simulation stand, so that what is under way is answered before the nodes end."""
+        """Pause the simulation, so that pending messages are answered before the nodes end."""
         self._call(self._pause, SetBool.Request(data=True))
 
     def reset(self, seed: int) -> None:
@@ -175,10 +175,10 @@ class Monitor:
 
         Args:
             title: Name of the drive in the display.
-            lines: Number of progress lines, where no terminal shows a bar.
+            lines: Number of lines to print if there is no terminal for a bar.
 
         Raises:
-            MonitorError: nothing is heard of the episode any more.
+            MonitorError: The episode's messages stopped.
         """
         self._heard = time.monotonic()
         display = ProgressDisplay(title, lines)
@@ -202,7 +202,7 @@ class Monitor:
         self._unheard.discard(topic)
 
     def _unanswered(self) -> str:
-        """Let the paused world send odometry, a step of a standing robot; say which awaited topics do not answer it."""
+        """Step the paused world, so that it sends odometry; return the awaited topics that do not answer."""
         if not self._unheard:
             return ""
         self._call(self._step, StepWorld.Request(duration=_STEP_S))
@@ -212,7 +212,7 @@ class Monitor:
         return f"no message on {', '.join(sorted(self._unheard))}" if self._unheard else ""
 
     def _wait_for(self, missing: Callable[[], str]) -> None:
-        """Return once nothing is missing any more."""
+        """Wait until nothing is missing."""
         began = said = time.monotonic()
         while what := missing():
             self._spin()
@@ -232,7 +232,7 @@ class Monitor:
         )
 
     def _missing(self) -> str:
-        """Return in words what is not there yet, empty if all is."""
+        """Describe what is missing; empty if nothing is."""
         for topic in self._topics:
             subscribers = self._subscribers(topic)
             publishers = self._node.count_publishers(topic)

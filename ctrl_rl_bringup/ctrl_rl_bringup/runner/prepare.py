@@ -1,4 +1,4 @@
-"""Preparation of a run: its new folder, and the value functions that are served during a drive."""
+"""Prepares a run: its new folder, and the value functions to serve during a drive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def new_run(options: DriveConfig) -> None:
     """Check the task of a run and make its folder.
 
     Raises:
-        CtrlRlError: there is no such task, it has no such width, or the folder exists or cannot be made.
+        CtrlRlError: There is no such task or width, or the folder exists or cannot be made.
     """
     load_navigation_task(options.task).build_world(options.width or None)
     try:
@@ -29,10 +29,9 @@ def new_run(options: DriveConfig) -> None:
 
 
 def value_files(options: DriveConfig) -> dict[str, Path]:
-    """Return the files of the value functions that are served during a drive, by kind; print which ones are missing.
+    """Return the files of the value functions to serve during a drive, by kind; print which are missing.
 
-    `time_to_reach` is solved now, for the robot's own size, and written beside the bag; `oc_value` comes with its
-    package.
+    `time_to_reach` is solved now, for the robot's size, and written beside the bag; `oc_value` ships with its package.
     """
     from oc_baseline_node import find_value, shipped_values  # Numba takes long to load
 
@@ -53,7 +52,7 @@ def value_files(options: DriveConfig) -> dict[str, Path]:
 
 
 def _time_to_reach(task: NavigationTask, width: float | None) -> ValueGrid | DecomposedValue:
-    """Return the time to reach; that of a quadrotor, whose whole grid fits into no memory, in two parts."""
+    """Solve the time to reach; a quadrotor's, whose full grid exceeds any memory, in two parts."""
     from ttr_reward_node import find_decomposition, solve_decomposed, solve_task  # Numba takes long to load
 
     if task.plane == "xy":

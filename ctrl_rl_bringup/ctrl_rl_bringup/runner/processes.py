@@ -1,4 +1,4 @@
-"""Starts nodes as processes and ends them in order: what `ros2 launch` does, where there is none."""
+"""Starts nodes as processes and ends them in order, like `ros2 launch` but without it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from ctrl_rl_core import CtrlRlError
 
 @contextmanager
 def ros(arguments: list[str] | None = None) -> Iterator[None]:
-    """Let rclpy be there; a signal raises KeyboardInterrupt once, those that follow must wait for the end.
+    """Initialise rclpy; the first signal raises KeyboardInterrupt, later ones wait for the end.
 
     Args:
-        arguments: Words of a command line with ROS arguments; those of the process unless given.
+        arguments: Command line with ROS arguments; by default the process's.
 
     Raises:
         ParameterError: A ROS argument is wrong, or ROS cannot run here.
@@ -44,7 +44,7 @@ def ros(arguments: list[str] | None = None) -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let a signal interrupt after this block, not within it, where it would be lost or leave something half done."""
+    """Defer signals to the end of this block, within which they would be lost or leave work half done."""
     caught: list[int] = []
     with handle_signals(lambda number, _frame: caught.append(number)):
         yield
@@ -57,14 +57,14 @@ _FULL_BYTES = 1_000_000
 
 
 class ProcessError(CtrlRlError):
-    """A node cannot be started, or ended by itself."""
+    """A node cannot be started, or has ended by itself."""
 
 
 def executable_path(spec: NodeSpec) -> Path:
     """Return the file that `ros2 run` would start.
 
     Raises:
-        ProcessError: package or executable are not built.
+        ProcessError: The package or executable is not built.
     """
     try:
         path = Path(get_package_prefix(spec.package)) / "lib" / spec.package / spec.executable
@@ -78,9 +78,9 @@ def executable_path(spec: NodeSpec) -> Path:
 
 
 class Processes:
-    """Running nodes, ended in the order in which they are given; a context that leaves none behind.
+    """Running nodes; a context that ends them in the given order.
 
-    They end with this process even where it is killed. Each node's output goes to `<folder>/<name>.log`.
+    They end with this process even if it is killed. Each node's output goes to `<folder>/<name>.log`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -92,7 +92,7 @@ class Processes:
         """Start nodes.
 
         Raises:
-            ProcessError: one of them is not built.
+            ProcessError: A node is not built.
         """
         for spec in specs:
             rules = [f"__ns:=/{spec.namespace}"] if spec.namespace else []
@@ -109,16 +109,16 @@ class Processes:
                 )
 
     def check(self) -> None:
-        """Raise ProcessError, with its last words, if a node has ended by itself."""
+        """Raise ProcessError, with its last log line, if a node has ended by itself."""
         for name, process in self._running.items():
             if process.poll() is not None:
                 raise ProcessError(self._end_of(name, process.returncode))
 
     def stop(self, name: str) -> None:
-        """End one node by SIGTERM and wait for it; kill it if it does not end.
+        """Stop a node by SIGTERM and wait for it; kill it if it does not end.
 
         Raises:
-            ProcessError: it had to be killed, or ended with another code than 0.
+            ProcessError: It had to be killed, or its exit code is not 0.
         """
         process = self._running.pop(name, None)
         if process is None:
@@ -163,7 +163,7 @@ class Processes:
         return f"{name} ended with exit code {code}: {self._last_words(name)}"
 
     def _last_words(self, name: str) -> str:
-        """Return the last error in a node's log, else its last line; on a full disk the log may lack both."""
+        """Return the last error in a node's log, or its last line; on a full disk the log may lack both."""
         lines = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
         own = f"{name.rpartition('.')[2]}: "  # what it ends for, before its publishers' last words
         errors = [line for line in lines if line.startswith(own) or "[ERROR]" in line or "[FATAL]" in line]

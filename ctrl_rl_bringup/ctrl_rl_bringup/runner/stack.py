@@ -12,20 +12,20 @@ from ctrl_rl_core import NavigationTask, load_navigation_task
 from koopman_lqr_controller import DEFAULT_POLICY
 
 RAW = "cmd_vel_raw"
-"""Topic of the driver's commands, which the watchdog passes on to the robot as cmd_vel."""
+"""Topic of the driver's commands, which the watchdog forwards to the robot as cmd_vel."""
 SAFE = "cmd_vel_safe"
-"""Topic of the safety filter's commands, which the watchdog passes on where there is a filter."""
+"""Topic of the safety filter's commands, which the watchdog forwards if there is a filter."""
 RAW_THRUSTS = "rotor_thrusts_raw"
-"""Topic of the pilot's commands, which the watchdog passes on to the quadrotor as rotor_thrusts."""
+"""Topic of the pilot's commands, which the watchdog forwards to the quadrotor as rotor_thrusts."""
 SAFE_THRUSTS = "rotor_thrusts_safe"
-"""Topic of the flight guard's commands, which the watchdog passes on where there is a guard."""
+"""Topic of the flight guard's commands, which the watchdog forwards if there is a guard."""
 _ODOMETRY, _MOST_ODOMETRY = 30.0, 240.0
 """Default and maximum rate of the bridge's odometry [Hz]."""
 _GUARDED_ODOMETRY = 120.0
 """Minimum rate of odometry for the flight guard [Hz]: three a period."""
 _UNGUARDED = {"robot_radius": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3, "frozen_scans": 0}
 _WATCHDOG_S = 2.0
-"""A busy machine may stall for a second, in which a simulated robot does not move either."""
+"""Time-out [s]: a busy machine may stall for a second, in which a simulated robot does not move either."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class NodeSpec:
         parameters: Parameter values by name.
         publishes: Topics of the node that a drive waits for.
         namespace: Namespace of the node, empty for none.
-        remappings: New names of its topics, by the node's own names.
+        remappings: New names of topics, by the node's names.
     """
 
     package: str
@@ -64,12 +64,12 @@ class DriveConfig:
         policy: Name or file of the policy.
         seed: Seed of start pose and noise.
         speed: Simulation time per wall time; 0 for as fast as possible.
-        width: Width of the corridor [m]; 0 for the task's own.
+        width: Width of the corridor [m]; 0 for the task's.
         gui: Whether PyBullet shows a window.
         randomise_width: Whether each reset draws the corridor's width from the task's range.
         safety_filter: Whether the safety filter stands between the driver and the watchdog.
         simulation: Further parameters of the simulator by name: lidar, drop-outs, delay and so on.
-        ready_limit: Longest time until all nodes must be ready [s].
+        ready_limit: Time within which all nodes must be ready [s].
     """
 
     folder: Path
@@ -93,7 +93,7 @@ class DriveConfig:
 def simulator(options: DriveConfig) -> NodeSpec:
     """Return the bridge; it starts paused, so that nothing happens before everyone listens.
 
-    Odometry comes with each scan of the task's lidar, at least so often as by the bridge's own default.
+    Odometry comes with each scan of the task's lidar, or at the bridge's default rate if that is higher.
     """
     task = load_navigation_task(options.task)
     scans, least = task.lidar.rate, _GUARDED_ODOMETRY if options.safety_filter and task.plane == "xz" else _ODOMETRY
@@ -119,9 +119,9 @@ def recorder(options: DriveConfig, digests: Mapping[str, Path]) -> NodeSpec:
 
 
 def safety_filter(task: NavigationTask) -> NodeSpec:
-    """Return the safety filter between a driver and its watchdog, for movers as fast as those of the task.
+    """Return the safety filter between a driver and its watchdog, for the speed of the task's movers.
 
-    Where somebody moves, the map tells walls from people; the simulator's odometry starts in the frame of the map.
+    If there are movers, the map tells walls from people; the simulator's odometry starts in the map's frame.
     """
     parameters = {
         "use_sim_time": True,
@@ -145,10 +145,10 @@ def controller(options: DriveConfig) -> NodeSpec:
 
 
 def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
-    """Return the node that drives or flies by any policy, and the watchdog of its robot.
+    """Return the node that drives or flies any policy, and its robot's watchdog.
 
-    Policies of tasks in an arena have learnt to keep clear of obstacles themselves. The stop in front of obstacles is
-    off: their speeds are too high and their beams too few for it. In a corridor it is on.
+    Policies for arenas have learnt to keep clear of obstacles. Their obstacle stop is off, because their speeds are too
+    high and their beams too few for it. In a corridor it is on.
     """
     parameters: dict[str, Any] = {"use_sim_time": True, "policy": options.policy}
     if task.robot.robot is not None and task.plane == "xy":
@@ -170,14 +170,14 @@ def policy_nodes(options: DriveConfig, task: NavigationTask) -> list[NodeSpec]:
 
 
 def through_doorways(task: NavigationTask) -> dict[str, float]:
-    """Return the parameters of a driver with which the obstacle stop of its robot lets it through narrow doorways."""
+    """Return driver parameters with which the obstacle stop lets the robot through narrow doorways."""
     robot = task.robot.robot
     assert robot is not None, "a robot in a corridor"
     return {"robot_radius": robot.through_gaps, "obstacle_margin": 0.0}
 
 
 def guards(options: DriveConfig, task: NavigationTask, **limits: float) -> list[NodeSpec]:
-    """Return what stands between a driver and its robot: the watchdog, and the safety filter where it is wanted."""
+    """Return the nodes between a driver and its robot: the watchdog and, if wanted, the safety filter."""
     if not options.safety_filter:
         return [watchdog(options.speed, "", RAW, **limits)]
     return [safety_filter(task), watchdog(options.speed, "", SAFE, **limits)]
@@ -201,9 +201,9 @@ def flight_guard(task: str) -> NodeSpec:
 
 
 def thrust_watchdog(speed: float, task: NavigationTask, hears: str = RAW_THRUSTS) -> NodeSpec:
-    """Return the watchdog between a pilot and its quadrotor; a paused simulation is no reason to stop the rotors.
+    """Return the watchdog between a pilot and its quadrotor; it does not stop the rotors of a paused simulation.
 
-    A pilot keeps to the thrusts of its task, and the flight guard to all that the rotors have.
+    A pilot has the thrust limits of its task, the flight guard those of the rotors.
     """
     system = task.system.build()
     pilots, rotors = max(each.high for each in task.robot.commands.values()), float(system.control_bounds[1].max())
@@ -242,6 +242,6 @@ def _served(file: Path, **more: Any) -> dict[str, Any]:
 
 
 def scripted_driver(seed: int) -> NodeSpec:
-    """Return the driver whose drives are learned from."""
+    """Return the driver of training drives."""
     parameters = {"use_sim_time": True, "seed": seed}
     return NodeSpec("koopman_lqr_controller", "scripted_driver", parameters, (RAW,), remappings={"cmd_vel": RAW})

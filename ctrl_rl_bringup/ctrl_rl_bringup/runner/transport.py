@@ -17,7 +17,7 @@ from ctrl_rl_core import CtrlRlError
 
 
 def recorded_parameters(custom_data: Mapping[str, str], node: str) -> dict[str, Any]:
-    """Return a node's parameters, whatever its namespace; none where the bag does not say them, or they are damaged."""
+    """Return a node's recorded parameters, in any namespace; empty if they are missing or damaged."""
     keys = (key for key in custom_data if key.startswith("parameters.") and key.endswith(f"/{node}"))
     try:
         content = parse_json(custom_data.get(min(keys, default=""), "{}"))
@@ -33,7 +33,7 @@ _STAMP = struct.Struct("<iI")
 class Sent(NamedTuple):
     """One recorded message: the publisher's count, when it was published [ns], and the stamp in its header [ns].
 
-    The stamp is that of messages which begin with a std_msgs/Header; of others it means nothing.
+    The stamp is valid for messages that begin with a std_msgs/Header.
     """
 
     sequence: int
@@ -50,7 +50,7 @@ def read_sent(bag: Path) -> dict[str, list[Sent]]:
 
 
 def lost_messages(sent: Mapping[str, list[Sent]]) -> int:
-    """Return how many messages are missing in the publishers' own count, on the topics that one node publishes."""
+    """Return how many sequence numbers are missing on topics with one publisher."""
     missing = 0
     for messages in sent.values():
         numbers = [message.sequence for message in messages]
@@ -61,9 +61,9 @@ def lost_messages(sent: Mapping[str, list[Sent]]) -> int:
 
 
 def answer_latencies(questions: Iterable[Sent], answers: Iterable[Sent]) -> NDArray[np.float64]:
-    """Return the times (n,) [s] from the publication of a question to that of the first answer that carries its stamp.
+    """Return the times (n,) [s] from publishing a question to publishing the first answer with its stamp.
 
-    What is sent without a question, a watchdog's zero in a paused world, may carry the stamp of one long answered.
+    Unprompted messages, such as a watchdog's zero in a paused world, may carry the stamp of an old question.
     """
     asked = {question.stamp: question.publish_time for question in questions}
     times = []

@@ -14,7 +14,7 @@ from option_coordinator import TeamFile
 
 
 def draw_team(run: TeamRun, task: NavigationTask, team: TeamFile, path: Path) -> None:
-    """Write the picture; the file is there whole or not at all."""
+    """Write the picture atomically."""
     done = "all work done" if run.finished else "cut off"
     title = f"{team.name}, policy {run.policy}: {done} after {run.duration:.0f} s"
     with picture(path, title, 2, 1, height=6.0, height_ratios=(2, 1)) as (figure, ((room,), (line,))):

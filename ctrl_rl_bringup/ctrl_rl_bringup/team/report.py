@@ -40,7 +40,7 @@ class TeamRun:
         latencies: Time from a request's arrival at the recorder to its grant's [s of wall time].
         messages: Number of recorded messages.
         lost: Number of messages published while the recorder listened, but not recorded.
-        idle: Names of options that are no work.
+        idle: Names of options that do not count as work.
     """
 
     agents: tuple[str, ...]
@@ -97,7 +97,7 @@ class TeamRun:
         )
 
     def busy(self, agent: str) -> float:
-        """Return the part of the time in which a robot carried out an option that is work."""
+        """Return the fraction of time in which a robot ran an option that counts as work."""
         work = [span for span in self.spans if span.agent == agent and span.option not in self.idle]
         return sum(span.end - span.begin for span in work) / max(self.duration, 1e-9)
 
@@ -107,10 +107,10 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
 
     Args:
         bag: Folder of the bag.
-        idle: Names of options that are no work.
+        idle: Names of options that do not count as work.
 
     Raises:
-        BagError: the bag cannot be read, or no coordinator decided in it.
+        BagError: The bag cannot be read, or has no decisions.
     """
     info = bag_info(bag)
     paths: dict[str, list[tuple[float, float]]] = defaultdict(list)

@@ -24,7 +24,7 @@ from option_coordinator import OptionPolicy, TeamFile, load_team, policy_file, s
 _LEASE = 0.5
 _HEARTBEAT = 0.1
 _LONGEST_STALE, _LONGEST_SENSOR_TIMEOUT = 600.0, 10.0
-"""Largest values that the nodes take [s]; at such speeds the world goes as fast as it can."""
+"""Maximum values of the nodes' parameters [s]; at such speeds the world runs as fast as it can."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class TeamConfig:
         folder: New folder of the run, for bag, logs, report and picture.
         team: Name or file of the team.
         room: Name or file of a navigation task; empty for the team's own.
-        policy: Policy parameter of the coordinator; if empty the team's policy of the package, else 'spread'.
+        policy: Policy parameter of the coordinator; if empty the package's policy for the team, or 'spread'.
         seed: Seed of starts, noise and draws.
         speed: Simulation time per wall time.
         gui: Whether PyBullet shows a window.
         engine: Physics engine of the simulator, "auto" for PyBullet where it is installed, else MuJoCo.
-        ready_limit: Longest time until all nodes must be ready [s].
+        ready_limit: Time within which all nodes must be ready [s].
     """
 
     folder: Path
@@ -65,7 +65,7 @@ class TeamConfig:
 
     @property
     def drive(self) -> DriveConfig:
-        """The part of the configuration that a single robot has too."""
+        """The configuration of a run with one robot."""
         return DriveConfig(
             self.folder,
             task=self.task,
@@ -85,7 +85,7 @@ def team_simulator(options: TeamConfig, team: TeamFile) -> NodeSpec:
 
 
 def coordinator(options: TeamConfig) -> NodeSpec:
-    """Return the coordinator. Stamps are of simulated time, so that an observation ages as fast as that goes."""
+    """Return the coordinator. Stamps are in simulated time, so observations age at the simulation's speed."""
     parameters = {
         "use_sim_time": True,
         "team": options.team,
@@ -123,12 +123,12 @@ _SILENT_S = 60.0
 
 
 class TeamMonitor(Monitor):
-    """Follows a team until its coordinator says that the work is over.
+    """Follows a team until its coordinator reports that the work is over.
 
     Args:
-        check: Called often; raises if a node of the run has died.
+        check: Called repeatedly; raises if a node of the run has died.
         team: Team to follow.
-        ready_limit: Longest time until all nodes must be ready [s].
+        ready_limit: Time within which all nodes must be ready [s].
     """
 
     def __init__(self, check: Callable[[], None], team: TeamFile, ready_limit: float) -> None:
@@ -144,10 +144,10 @@ class TeamMonitor(Monitor):
         self._node.create_subscription(AgentStatus, "agent_status", self._on_status, EXCHANGE)
 
     def follow_team(self) -> None:
-        """Show how much of the work is done until it is over.
+        """Show progress until the work is over.
 
         Raises:
-            MonitorError: nothing is heard of the robots any more.
+            MonitorError: The robots' messages stopped.
         """
         self._heard = time.monotonic()
         display = ProgressDisplay("working", 10)
@@ -184,10 +184,10 @@ class TeamMonitor(Monitor):
 
 
 def new_team_run(options: TeamConfig) -> tuple[TeamFile, dict[str, Path]]:
-    """Make the folder of a run; return its team, and the files whose digests its bag is to hold.
+    """Make the folder of a run; return its team, and the files whose digests go into its bag.
 
     Raises:
-        CtrlRlError: team, room or policy cannot be read, or the folder is there already.
+        CtrlRlError: Team, room or policy cannot be read, or the folder exists.
     """
     team = load_team(options.team)
     load_room(team, options.room)
@@ -200,7 +200,7 @@ def new_team_run(options: TeamConfig) -> tuple[TeamFile, dict[str, Path]]:
 
 
 def run_team(options: TeamConfig) -> None:
-    """Let a team work once, and record everything."""
+    """Run a team once and record everything."""
     team, digests = new_team_run(options)
     others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]
     with ros(), Processes(options.folder) as processes:
@@ -211,7 +211,7 @@ def run_team(options: TeamConfig) -> None:
 
 
 def follow_running_team(team: TeamFile, ready_limit: float) -> int:
-    """Follow a team whose nodes somebody else has started, and return 0 once its work is over."""
+    """Follow a team whose nodes run already; return 0 once its work is over."""
     with ros():
         _follow(TeamMonitor(lambda: None, team, ready_limit))
     return 0

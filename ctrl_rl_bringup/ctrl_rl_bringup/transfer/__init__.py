@@ -1,1 +1,1 @@
-"""Shipped policies in both physics engines, as they were learnt and with what may differ on a robot."""
+"""Shipped policies in both physics engines, under nominal and shifted conditions."""

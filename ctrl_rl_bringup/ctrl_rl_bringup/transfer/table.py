@@ -39,7 +39,7 @@ def play_episode(policy: Policy, task: NavigationTask, seed: int, options: Simul
 
     Args:
         policy: Policy of the task's robot.
-        task: Task to drive in; the middle of its goal is that of the policy, where it asks for one.
+        task: Task to drive in; the centre of its goal is the policy's goal, if it needs one.
         seed: Seed of the episode.
         options: Settings of the simulation.
     """
@@ -55,7 +55,7 @@ def play_episode(policy: Policy, task: NavigationTask, seed: int, options: Simul
 
 
 def _make_safety(task: NavigationTask) -> DriveSafety:
-    """Return the checks of a lidar's node with their defaults, or with those that leave room in doorways."""
+    """Return the checks of a lidar node, with defaults or with values that leave room in doorways."""
     robot = task.robot.robot
     assert robot is not None, "a robot with a lidar on wheels"
     value = _DEFAULTS | {each.name: of_robot(robot, each.of_robot) for each in LIDAR_PARAMETERS if each.of_robot}
@@ -90,12 +90,12 @@ SHIFTS: Mapping[str, Mapping[str, Any]] = {
         "command_truncation": True,
     },
 }
-"""Options of the simulation by what they stand for."""
+"""Options of the simulation, by shift."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What is driven: one policy, or those of several runs of one method.
+    """What to drive: one policy, or those of several runs of a method.
 
     Attributes:
         name: Name in the table.
@@ -108,7 +108,7 @@ class Entry:
     policies: Mapping[str, Policy]
 
     def shifts(self, wanted: Iterable[str]) -> list[str]:
-        """Return the shifts that mean something for the task's robot, of those that are wanted."""
+        """Return the wanted shifts that apply to the task's robot."""
         rolls = self.task.plane == "xy"
         turtlebot3 = self.task.robot.body.startswith("turtlebot3")
 
@@ -128,9 +128,9 @@ class Cell:
         entry: Name of the entry.
         engine: Name of the engine.
         shift: Name of the shift.
-        reached: Whether each episode ended at the goal; of several policies the share of each.
-        collided: Whether each episode ended in a collision; of several policies the share of each.
-        randomised: Whether the policies were learnt with conditions drawn from ranges.
+        reached: Whether each episode ended at the goal; of several policies the fraction for each.
+        collided: Whether each episode ended in a collision; of several policies the fraction for each.
+        randomised: Whether training drew conditions from ranges.
         digest: Digest of policies, task, conditions and seeds.
     """
 
@@ -144,7 +144,7 @@ class Cell:
 
     @property
     def success(self) -> float:
-        """Share of the episodes that ended at the goal."""
+        """Fraction of episodes that ended at the goal."""
         return float(np.mean(self.reached))
 
     @property
@@ -153,7 +153,7 @@ class Cell:
         return ", ".join((self.entry, self.engine, self.shift, *(("randomised",) if self.randomised else ())))
 
     def text(self) -> str:
-        """Return the cell in a line."""
+        """Return the cell as a line."""
         return f"{self.method:<64} {self.success:4.0%} reach the goal, {np.mean(self.collided):4.0%} collide"
 
     def results(self) -> list[Result]:
@@ -167,7 +167,7 @@ class Cell:
 def plan_cells(
     entries: Sequence[Entry], engines: Sequence[str], shifts: Sequence[str], seeds: Sequence[int]
 ) -> list[tuple[Entry, Cell]]:
-    """Return the cells to fill, all entries under one shift before the next, so that a part of them compares all."""
+    """Return the cells to fill, shift by shift, so that an interrupted run still compares all entries."""
     out = []
     for shift in shifts:
         for entry in entries:
@@ -209,7 +209,7 @@ def drive_cells(
 
 
 def transfer_ratios(cells: Sequence[Cell], home: str) -> dict[str, float]:
-    """Return the nominal success of each entry in the other engines, over that in the engine it was learnt in."""
+    """Return each entry's nominal success in the other engines, relative to that in its training engine."""
     nominal = {(cell.entry, cell.engine): cell.success for cell in cells if cell.shift == NOMINAL}
     return {
         f"{entry}, {engine}": success / nominal[entry, home]

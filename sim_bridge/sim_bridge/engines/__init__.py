@@ -1,4 +1,4 @@
-"""The physics engines behind the simulation, and the seam that they share."""
+"""The physics engines behind the simulation, and their common interface."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Which engine a simulation gets."""
+"""Chooses a simulation's engine."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from sim_bridge.engines.engine import Engine
 from sim_bridge.errors import SimulationError
 
 ENGINES = ("auto", "pybullet", "mujoco", "planar")
-"""Names of engines; "auto" is PyBullet where it is installed, else MuJoCo. "planar" needs neither."""
+"""Names of engines; "auto" is PyBullet if installed, else MuJoCo. "planar" needs neither."""
 
 
 @functools.cache
 def default_engine() -> str:
-    """Return the engine that "auto" stands for; where PyBullet is missing, one line says so once."""
+    """Return the engine that "auto" stands for; if PyBullet is missing, print one line, once."""
     if find_spec("pybullet") is not None:
         return "pybullet"
     logging.getLogger("sim_bridge").warning("PyBullet is not installed: the simulation runs in MuJoCo")
@@ -28,7 +28,7 @@ def make_engine(name: str, rate: int, gui: bool = False) -> Engine:
     Args:
         name: Name of the engine.
         rate: Physics steps per second [Hz].
-        gui: Whether a window shows the world; PyBullet has one.
+        gui: Whether to show the world in a window, which only PyBullet has.
 
     Raises:
         SimulationError: There is no such engine, it is not installed, or it has no window.

@@ -1,6 +1,6 @@
-"""The seam between the simulation and a physics engine: what a world asks of an engine, in the terms of a task.
+"""The interface of physics engines: what a world asks of an engine, in terms of a task.
 
-A world in the x-y plane stands on a floor; one in the x-z plane hangs in space (its floor is a wall of the task).
+A world in the x-y plane stands on a floor; one in the x-z plane floats in space (its floor is a wall of the task).
 Robots are numbered from 0 in the order in which they are added.
 """
 
@@ -20,13 +20,13 @@ from ctrl_rl_core import Box, Shape
 URDF_FOLDER = Path(__file__).parents[1] / "urdf"
 GRAVITY = 9.81
 WALL_HEIGHT = 0.5
-"""Height of walls and obstacles in the x-y plane [m]: higher than every lidar."""
+"""Height of walls and obstacles in the x-y plane [m], above every lidar."""
 SLAB_DEPTH = 2.0
 """Depth of walls and obstacles across the x-z plane [m]."""
 MOVER_MASS = 1e5
 """Mass of a mover [kg]: no robot slows it."""
 MOST_ROBOTS = 29
-"""Most robots of a world: in PyBullet each has a bit of its own, so that a lidar can overlook its carrier."""
+"""Maximum number of robots: in PyBullet each has its own bit, so that a lidar can ignore its carrier."""
 SEARCH_LIMIT = 100.0
 """Distances beyond this count as infinite [m]."""
 
@@ -73,10 +73,10 @@ class WheelBase(Protocol):
     """A wheeled robot in an engine."""
 
     def turn_wheels(self, left: float, right: float) -> None:
-        """Set the speeds that the wheels' motors hold [rad/s]."""
+        """Set the target speeds of the wheels' motors [rad/s]."""
 
     def wheel_angles(self) -> tuple[float, float]:
-        """Return how far the left and right wheel have turned [rad]."""
+        """Return the angles of the left and right wheel [rad]."""
 
     def pose(self) -> Array:
         """Return x, y, theta (3,) [m, m, rad]."""
@@ -89,7 +89,7 @@ class WheelBase(Protocol):
 
 
 class PlanarJoints(Protocol):
-    """A flying robot in an engine; a step moves the joints by their speeds after it (semi-implicit Euler)."""
+    """A flying robot in an engine, integrated by semi-implicit Euler."""
 
     def push(self, force: Array) -> None:
         """Set force along x and z and moment about psi (3,) [N, N, N m] for the next step."""
@@ -102,23 +102,23 @@ class PlanarJoints(Protocol):
 
 
 class MovingDisc(Protocol):
-    """A disc that goes its way whatever it meets."""
+    """A disc that moves on whatever it hits."""
 
     def move(self, position: tuple[float, float], velocity: tuple[float, float]) -> None:
-        """Put it at a position [m], and let it move at a velocity [m/s] in the next step."""
+        """Put it at a position [m]; in the next step it moves at a velocity [m/s]."""
 
 
 class PlacedDisc(Protocol):
-    """A robot that is a disc and is put where its own equations say."""
+    """A disc-shaped robot that is placed by its own equations."""
 
     def put(self, x: float, second: float, angle: float) -> None:
         """Put it at a position in the plane [m] and a counter-clockwise angle [rad]."""
 
 
 class Engine(Protocol):
-    """A physics engine that holds one world and runs in whole steps.
+    """A physics engine with one world, which runs in whole steps.
 
-    A world is built by `begin`, one `add_...` for each robot and mover, and `finish`; a next `begin` empties it.
+    Build a world by `begin`, one `add_...` per robot and mover, and `finish`; the next `begin` clears it.
 
     Attributes:
         name: Name of the engine.
@@ -149,45 +149,45 @@ class Engine(Protocol):
         """Add a robot that is a disc of a radius [m].
 
         Raises:
-            SimulationError: Too many robots, or the engine has none that nothing pushes.
+            SimulationError: Too many robots, or the engine has no placed robots.
         """
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> MovingDisc:
-        """Add a mover of a radius at a position [m]; robots and rays meet it, walls and other movers do not.
+        """Add a mover of a radius at a position [m]; robots and rays hit it, walls and other movers do not.
 
-        It is a `WALL_HEIGHT` high cylinder in the x-y plane, and a `SLAB_DEPTH` deep one across the x-z plane.
+        It is a cylinder, `WALL_HEIGHT` high in the x-y plane, or `SLAB_DEPTH` deep across the x-z plane.
         """
 
     def finish(self) -> None:
-        """Make the world ready for steps, ray casts and distances."""
+        """Complete the world; then steps, ray casts and distances may follow."""
 
     def step(self) -> None:
         """Advance by 1 / rate."""
 
     def cast(self, origin: Array, ends: Array, robot: int) -> Array:
-        """Return the part of each ray from `origin` (3,) to `ends` (n, 3) that is free (n,); 1 where all of it is.
+        """Return the free fraction (n,) of each ray from `origin` (3,) to `ends` (n, 3).
 
         Args:
-            origin: Where the rays begin [m].
-            ends: Where they end, all equally far [m].
-            robot: Number of the robot that the rays pass through.
+            origin: Start of the rays [m].
+            ends: Ends of the rays, all equally far [m].
+            robot: Number of the robot that the rays ignore.
         """
 
     def distance(self, robot: int, guess: float) -> float:
         """Return the distance of a robot to the nearest wall, obstacle, mover or robot [m].
 
-        Negative where they overlap; inf for nothing within `SEARCH_LIMIT`.
+        It is negative if they overlap, and inf if nothing is within `SEARCH_LIMIT`.
 
         Args:
             robot: Number of the robot.
-            guess: Where to begin the search [m]; costs least when a little more than the answer.
+            guess: Initial search radius [m]; fastest when slightly above the answer.
         """
 
     def mover_distance(self, robot: int, mover: int, limit: float) -> float:
-        """Return the distance of a robot to a mover, numbered in the order of adding, or `limit` if less [m]."""
+        """Return the distance of a robot to a mover, numbered as added, but at most `limit` [m]."""
 
     def close(self) -> None:
-        """Give the engine back; a second call does nothing."""
+        """Release the engine; may be called twice."""
 
 
 def placed(shape: Shape, plane: str) -> tuple[list[float], list[float], list[float]]:

@@ -25,11 +25,11 @@ from sim_bridge.errors import SimulationError
 
 _FAR = 1
 _SEEN = np.array((1, 0, 0, 0, 0, 0), np.uint8)
-"""Groups of geoms that rays meet: what is beyond their reach is set apart, since each ray looks at each geom."""
+"""Groups of geoms for rays; geoms out of reach are set apart, since each ray checks every geom."""
 
 
 class MujocoEngine:
-    """An `Engine` on a model and state of MuJoCo; the model is kept while walls, obstacles and robots are the same.
+    """An `Engine` on MuJoCo; the model is reused while walls, obstacles and robots are the same.
 
     Attributes:
         rate: Physics steps per second [Hz].
@@ -90,7 +90,7 @@ class MujocoEngine:
         self._placed = False
 
     def _place_geoms(self) -> None:
-        """Bring all geoms to where the state has them."""
+        """Update the poses of all geoms."""
         if not self._placed:
             mujoco.mj_kinematics(self._model, self._data)
             self._placed = True
@@ -166,18 +166,18 @@ class _MujocoRobot:
     """What wheeled and flying robots share.
 
     Attributes:
-        robot: The robot as it was asked for.
-        kind: Fields of the robot that its model depends on.
-        body: MuJoCo's number of the body that carries the lidar.
+        robot: The requested robot.
+        kind: Fields of the robot that determine its model.
+        body: MuJoCo id of the body with the lidar.
         geoms: Geoms of the whole robot.
-        radius: Radius of a sphere around the body's origin that holds all of it [m].
+        radius: Radius of a sphere around the body's origin that contains it [m].
     """
 
     def __init__(self, robot: WheeledRobot | FlyingRobot, kind: tuple[object, ...], body: str) -> None:
         self.robot, self.kind, self._body_name = robot, kind, body
 
     def place(self, model: mujoco.MjModel, data: mujoco.MjData, number: int) -> None:
-        """Begin at the start of an episode."""
+        """Reset to the start of an episode."""
         self._data, own = data, prefix(number)
         self.body = model.body(own + self._body_name).id
         bodies = {body for body in range(model.nbody) if model.body(body).name.startswith(own)}
@@ -255,18 +255,18 @@ class MujocoJoints(_MujocoRobot):
 
 
 class MujocoMover:
-    """A `MovingDisc` in MuJoCo: a heavy body on two rails, since contacts overlook the speed of a `mocap` body.
+    """A `MovingDisc` in MuJoCo: a heavy body on two rails, because contacts ignore the speed of a `mocap` body.
 
     Attributes:
         radius: Radius of the disc [m].
-        geom: MuJoCo's number of its geom.
+        geom: MuJoCo id of its geom.
     """
 
     def __init__(self, radius: float, position: tuple[float, float]) -> None:
         self.radius, self._position = radius, position
 
     def place(self, model: mujoco.MjModel, data: mujoco.MjData, number: int) -> None:
-        """Begin at the start of an episode."""
+        """Reset to the start of an episode."""
         self._data = data
         self.geom = int(model.geom(mover_name(number)).id)
         joints = [model.joint(mover_name(number, axis)) for axis in range(2)]

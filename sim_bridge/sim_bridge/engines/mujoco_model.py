@@ -22,7 +22,7 @@ from sim_bridge.engines.engine import (
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 PLANAR_JOINTS = ("x", "z", "psi")
 MOTOR = "_motor"
-"""What the name of a motor's joint ends with, after the wheel's."""
+"""Suffix of a motor's joint, after the wheel's name."""
 ROOT = "base_footprint"
 
 _HULL_FRICTION = 0.25  # of a hull along a wall, as two surfaces of PyBullet's default 0.5 have it
@@ -32,7 +32,7 @@ _LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail, which MuJoC
 
 
 def prefix(robot: int) -> str:
-    """Return what the names of a robot's parts begin with."""
+    """Return the prefix of the names of a robot's parts."""
     return f"{robot}/"
 
 
@@ -43,7 +43,7 @@ def build_model(
     robots: Sequence[WheeledRobot | FlyingRobot],
     movers: Sequence[float] = (),
 ) -> mujoco.MjModel:
-    """Return a world's model; where robots start is left to the state.
+    """Return a world's model; the state places the robots.
 
     Args:
         rate: Physics steps per second [Hz].
@@ -86,7 +86,7 @@ def _add_fixed(spec: mujoco.MjSpec, shape: Shape, plane: str) -> None:
 
 
 def _add_mover(spec: mujoco.MjSpec, number: int, radius: float, plane: str) -> None:
-    """Add a heavy cylinder on two rails, which walls and other movers do not touch."""
+    """Add a heavy cylinder on two rails, without contacts to walls and other movers."""
     body = spec.worldbody.add_body(name=mover_name(number), mass=MOVER_MASS, inertia=(1.0, 1.0, 1.0))
     for axis, direction in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0) if plane == "xy" else (0.0, 0.0, 1.0))):
         body.add_joint(name=mover_name(number, axis), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
@@ -121,9 +121,9 @@ def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
 
 
 def _add_motor(spec: mujoco.MjSpec, wheel: str, torque: float, rate: int) -> None:
-    """Add a motor: a heavy shaft that turns as it is told, and a clutch to the wheel that slips at the torque [N m].
+    """Add a motor: a heavy shaft with a given speed, and a clutch to the wheel that slips at the torque [N m].
 
-    A velocity actuator would not do: MuJoCo finds the contacts' forces without regard to it, and wheels would creep.
+    A velocity actuator would not do: MuJoCo ignores it when it solves for contact forces, so wheels would creep.
     """
     shaft = spec.worldbody.add_body(name=wheel + MOTOR, mass=1.0, inertia=(1.0, 1.0, 1.0))
     shaft.add_joint(name=wheel + MOTOR, axis=(0.0, 1.0, 0.0), armature=_SHAFT)
@@ -149,7 +149,7 @@ def _flying(robot: FlyingRobot) -> mujoco.MjSpec:
 
 
 def _load(urdf: str) -> mujoco.MjSpec:
-    """Return a robot as its URDF file has it, with the friction that MuJoCo's reader overlooks."""
+    """Return a robot from its URDF file, with the friction that MuJoCo's reader ignores."""
     file = URDF_FOLDER / urdf
     spec = mujoco.MjSpec.from_file(str(file))
     slippery = {

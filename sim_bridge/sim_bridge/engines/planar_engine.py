@@ -1,7 +1,7 @@
-"""Worlds in the plane without contact forces: as fast as learning wants them.
+"""Planar worlds without contact forces, fast enough for learning.
 
-A drive rolls without slipping, by motors of limited torque; a quadrotor moves by its rigid-body equations. Distances
-and lidar rays are exact. Nothing pushes back: a robot that touches something has collided, and then passes through it.
+A drive rolls without slipping, with motors of limited torque; a quadrotor follows its rigid-body equations. Distances
+and lidar rays are exact. Contacts exert no force: a robot that touches something has collided, and passes through it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim_bridge.errors import SimulationError
 
 
 class PlanarEngine:
-    """An `Engine` of rigid bodies in a plane, without contact forces; friction plays no part.
+    """An `Engine` of rigid bodies in a plane, without contact forces and friction.
 
     Attributes:
         rate: Physics steps per second [Hz].
@@ -88,7 +88,7 @@ class PlanarEngine:
         self._placed = False
 
     def _place(self) -> None:
-        """Bring all robots and movers to where they are."""
+        """Update the shapes of all robots and movers."""
         if self._placed:
             return
         for robot, (low, high) in zip(self._robots, self._ranges, strict=True):
@@ -123,14 +123,14 @@ class PlanarEngine:
         return found
 
     def close(self) -> None:
-        """Do nothing: there is nothing to give back."""
+        """Do nothing: there is nothing to release."""
 
 
 class _PlanarRobot:
     """A robot of the planar engine."""
 
     def outline(self, plane: str) -> Outline:
-        """Return its collision shapes in a plane, "xy" or "xz"."""
+        """Return its collision shapes in the plane "xy" or "xz"."""
         raise NotImplementedError
 
     def advance(self) -> None:
@@ -196,7 +196,7 @@ class PlanarWheels(_PlanarRobot):
 
 
 class PlanarFlight(_PlanarRobot):
-    """`PlanarJoints` that nothing holds."""
+    """`PlanarJoints` of a free body."""
 
     def __init__(self, robot: FlyingRobot, rate: int) -> None:
         self._urdf = robot.urdf
@@ -237,7 +237,7 @@ class PlanarDisc(_PlanarRobot):
         self._place = (x, second, angle)
 
     def advance(self) -> None:
-        """Do nothing: it is put where it goes."""
+        """Do nothing: its own equations place it."""
 
     def place(self) -> tuple[float, float, float]:  # noqa: D102
         return self._place
@@ -248,7 +248,7 @@ class PlanarMover:
 
     Attributes:
         radius: Radius of the disc [m].
-        position: Position of its middle [m].
+        position: Position of its centre [m].
     """
 
     def __init__(self, radius: float, position: tuple[float, float], step: float) -> None:
@@ -265,7 +265,7 @@ class PlanarMover:
 
 
 def shape_row(shape: Shape) -> tuple[float, ...]:
-    """Return a wall or obstacle as `planar_geometry` has it (8,)."""
+    """Return a wall or obstacle as a row of `planar_geometry` (8,)."""
     if isinstance(shape, Box):
         extent, radius, angle = (0.5 * shape.size[0], 0.5 * shape.size[1]), 0.0, shape.angle
     else:

@@ -1,7 +1,7 @@
 """Distances and rays between rounded rectangles in a plane, compiled by Numba.
 
-A shape is a row (8,): centre x, y [m], cosine and sine of its counter-clockwise angle, half extents [m], the radius
-that rounds it off [m], and whether rays meet it (1) or not (0). A disc is a point with a radius.
+A shape is a row (8,): centre x, y [m], cosine and sine of its counter-clockwise angle, half extents [m], rounding
+radius [m], and whether rays hit it (1) or not (0). A disc is a point with a radius.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _corner(shape: Any, index: int) -> tuple[float, float]:
 
 @cached_njit
 def _overlap(one: Any, other: Any) -> float:
-    """Maximum gap of two rectangles along the axes of the first [m]; negative where their shadows overlap on both."""
+    """Maximum gap of two rectangles along the axes of the first [m]; negative if their projections overlap on both."""
     dx, dy = other[X] - one[X], other[Y] - one[Y]
     c = abs(one[COS] * other[COS] + one[SIN] * other[SIN])
     s = abs(one[COS] * other[SIN] - one[SIN] * other[COS])
@@ -67,7 +67,7 @@ def _between(one: Any, other: Any) -> float:
 
 @cached_njit
 def place(shapes: Any, parts: Any, first: int, last: int, x: float, y: float, angle: float) -> None:
-    """Bring shapes first to last (without the last) to a pose; the last rows of `shapes` are those of `parts`."""
+    """Move the shapes from `first` to before `last` to a pose; the last rows of `shapes` belong to `parts`."""
     c, s = math.cos(angle), math.sin(angle)
     for index in range(first, last):
         part, shape = parts[index + len(parts) - len(shapes)], shapes[index]
@@ -80,11 +80,11 @@ def nearest(shapes: Any, first: int, last: int, outer: int, limit: float) -> flo
     """Return the minimum signed distance of a robot to all other shapes [m], or the limit.
 
     Args:
-        shapes: All shapes (n, 8); the robot's are first to last (without the last).
+        shapes: All shapes (n, 8); the robot's are from `first` to before `last`.
         first: Index of the robot's first shape.
         last: Index after its last shape.
-        outer: Number of its shapes, the first ones, that hold all others.
-        limit: Distance that is returned where nothing is nearer [m].
+        outer: Number of its outer shapes, the first ones, which contain all others.
+        limit: Distance to return if nothing is nearer [m].
     """
     for mine in range(first, first + outer):
         one = shapes[mine]
@@ -100,7 +100,7 @@ def nearest(shapes: Any, first: int, last: int, outer: int, limit: float) -> flo
 
 @cached_njit
 def _hit(shape: Any, x: float, y: float, dx: float, dy: float) -> float:
-    """Part of a ray that is free of a shape; 1 where it misses it or begins inside."""
+    """Fraction of a ray before a shape; 1 if it misses the shape or begins inside."""
     px, py = x - shape[X], y - shape[Y]
     radius = shape[RADIUS]
     if radius > 0.0:
@@ -129,7 +129,7 @@ def _hit(shape: Any, x: float, y: float, dx: float, dy: float) -> float:
 
 @cached_njit
 def cast(shapes: Any, x: float, y: float, rays: Any, free: Any) -> None:
-    """Write the part of each ray (n, 2) from (x, y) that is free of the shapes that are seen into `free` (n,)."""
+    """Write the free fraction of each ray (n, 2) from (x, y) into `free` (n,)."""
     order, away = np.empty(len(shapes), np.int64), np.empty(len(shapes))
     count = 0
     for index in range(len(shapes)):  # the nearest ones first, as they hide those behind them
@@ -154,13 +154,11 @@ def cast(shapes: Any, x: float, y: float, rays: Any, free: Any) -> None:
 
 @cached_njit
 def wheel_speeds(speeds: Any, wanted: Any, own: float, shared: float, most: float) -> bool:
-    """Bring the speeds of two wheels (2,) [rad/s] towards the wanted ones by impulses of limited size.
-
-    Returns whether both are as wanted.
+    """Drive two wheels (2,) towards their target speeds [rad/s] by limited impulses; return whether both are there.
 
     Args:
-        speeds: Speeds, which are changed.
-        wanted: Speeds that the motors hold (2,) [rad/s].
+        speeds: Speeds, changed in place.
+        wanted: Target speeds (2,) [rad/s].
         own: Speed that an impulse gives its own wheel [rad/s per N m s].
         shared: Speed that it gives the other wheel [rad/s per N m s].
         most: Maximum impulse [N m s].

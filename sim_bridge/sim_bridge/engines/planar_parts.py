@@ -1,6 +1,6 @@
 """Robots as flat parts: outlines, mass and wheels, read from their URDF files.
 
-The joints and shapes of the suite's URDF files are turned by whole quarter turns only.
+The URDF files' joints and shapes may be rotated by multiples of 90 degrees only.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class WheeledModel:
 
     Attributes:
         mass: Mass of the whole robot [kg].
-        inertia: Moment of inertia of the whole robot about the vertical through the middle of its axle [kg m^2].
+        inertia: Moment of inertia of the whole robot about the vertical through the centre of its axle [kg m^2].
         wheel_inertia: Moment of inertia of one wheel about its axle [kg m^2].
         wheel_radius: Radius of the wheels [m].
         wheel_separation: Distance between the wheels [m].
@@ -41,7 +41,7 @@ class WheeledModel:
 
     @property
     def answers(self) -> tuple[float, float]:
-        """Speed that an impulse gives its own wheel, and the other one [rad/s per N m s]."""
+        """Speed that an impulse adds to its own wheel and to the other one [rad/s per N m s]."""
         # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
         straight = 0.5 * self.mass * self.wheel_radius**2 + self.wheel_inertia
         turn = 2.0 * self.inertia * (self.wheel_radius / self.wheel_separation) ** 2 + self.wheel_inertia
@@ -52,9 +52,9 @@ class Outline(NamedTuple):
     """The collision shapes of a robot in a plane.
 
     Attributes:
-        parts: Rectangles along the robot's axes, rounded off (parts, 7): centre (2) and half extents (2) [m], the
+        parts: Rounded rectangles along the robot's axes (parts, 7): centre (2) and half extents (2) [m], the
             radius [m] (a disc is a point with a radius), and the minimum and maximum coordinate across the plane [m].
-        outer: Number of parts, the first ones, that all others lie within, seen across the plane.
+        outer: Number of outer parts, the first ones, which contain all others, seen across the plane.
     """
 
     parts: Array
@@ -79,7 +79,7 @@ def outline(urdf: str, plane: str) -> Outline:
 
 
 def disc_outline(radius: float) -> Outline:
-    """Return the outline of a disc [m] that all rays meet."""
+    """Return the outline of a disc of a radius [m] that all rays hit."""
     return Outline(np.array([[0.0, 0.0, 0.0, 0.0, radius, -np.inf, np.inf]]), 1)
 
 

@@ -21,7 +21,7 @@ from sim_bridge.engines.engine import (
 from sim_bridge.engines.quiet_pybullet import pybullet
 
 ALL_GROUPS = 0x7FFFFFFF
-"""Mask of contacts and rays that meets every body."""
+"""Mask of contacts and rays that matches every body."""
 _STATIC_GROUP = 2  # of all bodies without mass
 
 
@@ -65,10 +65,10 @@ class PybulletWheels:
 
 
 class PybulletMover:
-    """A `MovingDisc` in PyBullet: a heavy body, since contacts overlook the speed of one without mass.
+    """A `MovingDisc` in PyBullet: a heavy body, because contacts ignore the speed of a massless one.
 
     Attributes:
-        body: PyBullet's number of the body.
+        body: PyBullet id of the body.
     """
 
     def __init__(self, client: int, rate: int, plane: str, disc: Disc) -> None:

@@ -1,4 +1,4 @@
-"""Worlds in PyBullet: the one place that owns a client of it."""
+"""Worlds in PyBullet; only this module owns a client."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost ha
 
 
 def _check_display() -> None:
-    """Raise SimulationError where there is no display: PyBullet would end the process with an error of X."""
+    """Raise SimulationError if there is no display: PyBullet would end the process with an X error."""
     display = os.environ.get("DISPLAY", "")
     local = re.fullmatch(r":(\d+)(\.\d+)?", display)
     if not display:
@@ -47,7 +47,7 @@ class PybulletEngine:
     """An `Engine` on a PyBullet client.
 
     Attributes:
-        client: PyBullet's number of the client.
+        client: PyBullet id of the client.
         rate: Physics steps per second [Hz].
         fixed: PyBullet bodies of walls and obstacles.
         robots: PyBullet bodies of the robots.
@@ -126,7 +126,7 @@ class PybulletEngine:
         return mover
 
     def _load(self, urdf: str, position: Sequence[float], attitude: Sequence[float], rooted: bool = False) -> int:
-        """Load a robot without any damping, which rays can overlook."""
+        """Load a robot without damping, which rays can ignore."""
         if len(self.robots) == MOST_ROBOTS:
             raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
         body: int = pybullet.loadURDF(
@@ -153,7 +153,7 @@ class PybulletEngine:
         return {name.decode(): joint for joint, name in enumerate(names)}
 
     def finish(self) -> None:
-        """Do nothing: all that was added is there."""
+        """Do nothing: everything has been added already."""
 
     def step(self) -> None:  # noqa: D102
         pybullet.stepSimulation(physicsClientId=self.client)
@@ -189,14 +189,14 @@ class PybulletEngine:
         return min((point[8] for point in points), default=limit)
 
     def _gaps(self, robot: int) -> Array | None:
-        """Return a lower bound on a robot's distance to each body of `fixed` (n,) [m]; None where these are few."""
+        """Return lower bounds on a robot's distances to the bodies of `fixed` (n,) [m]; None if these are few."""
         if len(self.fixed) <= _FEW:
             return None
         (least, largest), boxes = self._box(self.robots[robot]), np.array(self._boxes)
         return np.linalg.norm(np.maximum(np.maximum(boxes[:, 0] - largest, least - boxes[:, 1]), 0.0), axis=1)
 
     def _box(self, body: int) -> Array:
-        """Return the box along the axes that holds all links of a body: minimum and maximum corner (2, 3) [m]."""
+        """Return the axis-aligned box around all links of a body: minimum and maximum corner (2, 3) [m]."""
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=self.client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=self.client) for link in links])
         return np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))

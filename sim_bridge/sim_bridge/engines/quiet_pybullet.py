@@ -1,4 +1,4 @@
-"""PyBullet, imported without the line about itself that it writes to the error stream."""
+"""Imports PyBullet without the line that it writes to the error stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many robots of one task, each in a world of its own, advanced together: as fast as learning wants them."""
+"""Many robots of one task, each in its own world, advanced together, fast enough for learning."""
 
 import lazy_loader as lazy
 

@@ -28,16 +28,16 @@ def roll(
     """Advance differential drives by a physics step.
 
     Args:
-        poses: Poses x, y, theta (N, 3) [m, m, rad], which are changed.
-        speeds: Speeds of the left and right wheel (N, 2) [rad/s], which are changed.
-        held: Speeds that the motors hold (N, 2) [rad/s], which are changed.
-        wanted: Speeds by the commands (N, 2) [rad/s].
-        settled: Whether both wheels are at what the motors hold (N,), which is changed.
-        share: Part of the way to the wanted speed that the motors go in a step.
+        poses: Poses x, y, theta (N, 3) [m, m, rad], changed in place.
+        speeds: Speeds of the left and right wheel (N, 2) [rad/s], changed in place.
+        held: Target speeds of the motors, after their lag (N, 2) [rad/s], changed in place.
+        wanted: Commanded speeds (N, 2) [rad/s].
+        settled: Whether both wheels have reached their target speeds (N,), changed in place.
+        share: Fraction of the way to the commanded speed that the targets go in a step.
         own: Speed that an impulse gives its own wheel [rad/s per N m s].
         shared: Speed that it gives the other wheel [rad/s per N m s].
         impulse: Maximum impulse of a motor in a step [N m s].
-        turns: Metres of the way, and radians of half a turn, by the sum and the difference of the wheels' speeds (2,).
+        turns: Distance [m] per sum, and half a turn [rad] per difference, of the wheels' speeds (2,).
     """
     for i in range(len(poses)):
         if wanted[i, 0] != held[i, 0] or wanted[i, 1] != held[i, 1]:
@@ -67,8 +67,8 @@ def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, o
         parts: Shapes of the robot (m, 7).
         outer: Number of the robot's shapes, the first ones, that hold all others.
         places: Positions and counter-clockwise angles of the robots (N, 3) [m, m, rad].
-        limit: Distance that counts where nothing is nearer [m].
-        out: Signed distances, which are written.
+        limit: Distance to write if nothing is nearer [m].
+        out: Signed distances (N,), written.
     """
     first, last = len(shapes) - len(parts), len(shapes)
     for i in range(len(places)):
@@ -78,14 +78,14 @@ def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, o
 
 @cached_njit
 def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) -> None:
-    """Write the ranges of each robot [m], infinite where a ray meets nothing, into `out` (N, beams).
+    """Write the ranges of each robot [m], infinite where a ray hits nothing, into `out` (N, beams).
 
     Args:
         standing: Standing shapes (n, 8).
         origins: Positions and counter-clockwise angles of the lidars (N, 3) [m, m, rad].
         bearings: Bearings of the beams, counter-clockwise (beams,) [rad].
         reach: Length of a ray [m].
-        out: Ranges, which are written; 0 for a lidar inside a shape.
+        out: Ranges, written; 0 for a lidar inside a shape.
     """
     rays = np.empty((len(bearings), 2))
     for i in range(len(origins)):
@@ -103,7 +103,7 @@ def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) ->
 
 @cached_njit
 def _buried(standing: Any, x: float, y: float) -> bool:
-    """Whether a point lies inside a shape that rays meet."""
+    """Whether a point lies inside a shape that rays hit."""
     for index in range(len(standing)):
         shape = standing[index]
         dx, dy = x - shape[X], y - shape[Y]

@@ -1,4 +1,4 @@
-"""How the robots of a fleet move: the equations of the planar engine and its bodies, for many robots at once."""
+"""How the robots of a fleet move: the planar engine's equations for many robots at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class FleetMotion(Protocol):
-    """Robots that move alike, each by its own commands.
+    """Robots of one kind, each with its own commands.
 
     Attributes:
         outline: Collision shapes of a robot.
@@ -33,7 +33,7 @@ class FleetMotion(Protocol):
     poses: Array
 
     def begin(self, index: int, state: dict[str, float]) -> None:
-        """Put a robot into a state, by the names of its components."""
+        """Put a robot into a state, given by component."""
 
     def command(self, commands: Array) -> None:
         """Take a new command of each robot (N, 2), within the task's bounds."""
@@ -45,7 +45,7 @@ class FleetMotion(Protocol):
         """Return the rates of the poses (N, 3) [m/s, m/s, rad/s]."""
 
     def states(self) -> Array | None:
-        """Return the states of the task's system (N, n); None where poses and velocities tell them."""
+        """Return the states of the task's system (N, n); None if they follow from poses and velocities."""
 
 
 class WheeledMotion:
@@ -146,7 +146,7 @@ class FlyingMotion:
 
 
 class ModelMotion:
-    """Discs that move exactly as the task's system says, see `simulation.model_body`."""
+    """Discs that move exactly by the task's system, see `simulation.model_body`."""
 
     lidar = (0.0, 0.0, LIDAR_HEIGHT, 0.0)
 

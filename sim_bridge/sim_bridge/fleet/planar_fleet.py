@@ -6,7 +6,7 @@
     outcomes = fleet.step(actions)                     # (8, 2) in [-1, 1]
     fleet.observations(), fleet.states(), fleet.rewards()
 
-Whoever calls begins a new episode for a robot whose outcome is not RUNNING.
+The caller begins a new episode for each robot whose outcome is not RUNNING.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ RATE = {"xy": 30, "xz": 60}
 
 
 class PlanarFleet:
-    """Robots of one task, which do not meet each other.
+    """Robots of one task, which do not see each other.
 
-    A robot moves, sees and ends as one in `NavigationEnv` with `engine="planar"`; a lidar's noise is drawn from one
-    stream for all.
+    A robot moves, sees and ends like one in `NavigationEnv` with `engine="planar"`; one stream provides all lidar
+    noise.
 
     Attributes:
         task: Task of the robots.
@@ -58,7 +58,7 @@ class PlanarFleet:
             seed: Seed of the lidar's noise; robot i begins an episode of seed i.
 
         Raises:
-            SimulationError: The task is in a corridor, or each of its episodes has another world.
+            SimulationError: The task is in a corridor, or its world changes between episodes.
         """
         for name, found in (
             ("corridor", task.corridor),
@@ -101,7 +101,7 @@ class PlanarFleet:
 
         Args:
             robot: Number of the robot.
-            seed: Seed of its start, which is then that of `NavigationEnv` with the same seed.
+            seed: Seed of its start, as in `NavigationEnv`.
             start: State (n,) to start in; drawn from the task's start set unless given.
         """
         if start is None:
@@ -117,7 +117,7 @@ class PlanarFleet:
         """Hold actions (N, 2) in [-1, 1] for the task's time step; return the outcomes (N,).
 
         Raises:
-            SimulationError: They are not two finite numbers a robot.
+            SimulationError: They are not two finite numbers per robot.
         """
         given = np.asarray(actions, dtype=float)
         if given.shape != (len(self), 2) or not np.isfinite(given).all():
@@ -147,7 +147,7 @@ class PlanarFleet:
         return states
 
     def observations(self) -> Vector:
-        """Return what each robot observes, in SI units (N, d), as `NavigationEnv` names and bounds it."""
+        """Return the observations in SI units (N, d), as in `NavigationEnv`."""
         ranges = np.empty((len(self), len(self._bearings)))
         origins = self._places()
         along, aside, _, yaw = self._motion.lidar
@@ -166,7 +166,7 @@ class PlanarFleet:
         return np.clip(observed, self._low, self._high)
 
     def rewards(self) -> Array:
-        """Return what the task pays at the present outcomes (N,) (thesis Eq. 3.9, 3.15, 3.17)."""
+        """Return the task's rewards at the current outcomes (N,) (thesis Eq. 3.9, 3.15, 3.17)."""
         rewards = self.task.rewards
         return terminal_reward(self.outcomes, rewards, self._tilted, running=rewards.intermediate)
 
@@ -175,7 +175,7 @@ class PlanarFleet:
         return self._motion.poses * (1.0, 1.0, self._sense)
 
     def _judge(self, robots: NDArray[np.intp]) -> None:
-        """Bring outcomes up to date; the first event of an episode counts."""
+        """Update the outcomes; the first event of an episode counts."""
         free = np.empty(len(robots))
         places = self._places()[robots]
         clearances(self._shapes, self._parts, self._outer, places, SEARCH_LIMIT, free)

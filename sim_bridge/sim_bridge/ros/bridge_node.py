@@ -31,15 +31,15 @@ from sim_bridge.simulation.world import SimulatedWorld
 TICK = 0.005
 """Wall time between two slices of simulation [s]."""
 LONGEST_SLICE = 0.02
-"""Wall time that a slice may take [s]; steps beyond it are skipped, so that signals and services never wait."""
+"""Maximum wall time of a slice [s]; later steps are skipped, so that signals and services never wait."""
 FREE_SLICE = 0.01
-"""The same for a world that runs as fast as it goes [s]."""
+"""Maximum wall time of a slice if the world runs as fast as it can [s]."""
 LONGEST_STEP = 10.0
-"""Simulation time that one StepWorld may advance [s]."""
+"""Maximum simulation time of one StepWorld call [s]."""
 
 
 class Bridge(SuiteNode):
-    """Runs a task's world in a physics engine and takes the place of its robots: sensors out, commands in."""
+    """Runs a task's world in a physics engine in place of real robots: sensors out, commands in."""
 
     PARAMETERS = PARAMETERS
 
@@ -107,7 +107,7 @@ class Bridge(SuiteNode):
         self._clock_publisher.publish(time.monotonic(), self._time)
 
     def _advance(self, steps: int, deadline: float = math.inf) -> None:
-        """Do physics steps, at most until a steady wall time [s], and publish the messages that are due."""
+        """Step the physics, at most until a steady wall time [s], and publish the messages that are due."""
         world = self._world
         end = world.steps + steps
         while world.steps < end and time.monotonic() < deadline:
@@ -152,7 +152,7 @@ class Bridge(SuiteNode):
 
     @property
     def _time(self) -> int:
-        """Simulation time since the bridge started [ns]; resets do not set it back."""
+        """Simulation time since the bridge started [ns], not affected by resets."""
         return (self._steps_before + self._world.steps) * 10**9 // self._rate
 
     def _on_reset(self, request: ResetWorld.Request, response: ResetWorld.Response) -> ResetWorld.Response:
@@ -187,7 +187,7 @@ class Bridge(SuiteNode):
         return response
 
     def status(self) -> Status:
-        """Return speed, episode, refused commands, and messages sent by topic."""
+        """Report speed, episode, refused commands, and messages sent by topic."""
         factor = self._meter.read(time.monotonic(), 1e-9 * self._time)
         wanted = self.settings["speed_factor"]
         values: dict[str, object] = {
@@ -210,11 +210,11 @@ class Bridge(SuiteNode):
         return ok("running", **values)
 
     def diagnostics_stamp(self) -> Time:
-        """Return simulation time: the one clock of all nodes that use this simulation."""
+        """Return the simulation time, which also stamps messages."""
         return to_stamp(self._time)
 
     def stop(self) -> None:
-        """Give the physics back."""
+        """Release the physics engine."""
         self._world.close()
 
 

@@ -17,7 +17,7 @@ except ImportError:  # the ROS wheels have none; scan and odometry need none eit
     TFMessage = None
 
 WORLD_FRAME = "map"
-"""Frame of the world, in which the truth is told."""
+"""Frame of the world, for ground truth."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class Frames:
 
     @property
     def odom(self) -> str:
-        """Frame that odometry measures in."""
+        """Frame of the odometry's poses."""
         return self.topic("odom")
 
     @property
     def base(self) -> str:
-        """Frame that odometry moves: on the floor below a ground robot, in the middle of a flying one."""
+        """Frame that odometry moves: on the floor below a ground robot, at the centre of a flying one."""
         return self.topic("base_footprint" if self.plane == "xy" else "base_link")
 
     @property
@@ -72,7 +72,7 @@ class CountedPublisher:
 
 
 class TransformPublisher:
-    """/tf and /tf_static, or nothing where tf2_msgs is missing."""
+    """Broadcasts /tf and /tf_static, or nothing if tf2_msgs is missing."""
 
     def __init__(self, node: Node, fixed: Sequence[TransformStamped]) -> None:
         self._moving = self._fixed = None
@@ -89,7 +89,7 @@ class TransformPublisher:
 
 
 def odometry_transform(odometry: Odometry) -> TransformStamped:
-    """Return the transform that an odometry message tells."""
+    """Return the transform of an odometry message."""
     position = odometry.pose.pose.position
     out = transform(odometry.header.frame_id, odometry.child_frame_id, (position.x, position.y, position.z))
     out.header.stamp = odometry.header.stamp
@@ -98,7 +98,7 @@ def odometry_transform(odometry: Odometry) -> TransformStamped:
 
 
 def transform(parent: str, child: str, translation: tuple[float, float, float]) -> TransformStamped:
-    """Return a transform without a turn."""
+    """Return a transform without a rotation."""
     out = TransformStamped(child_frame_id=child)
     out.header.frame_id = parent
     out.transform.translation.x, out.transform.translation.y, out.transform.translation.z = translation

@@ -1,4 +1,4 @@
-"""The place of odometry's frame in the map (REP-105), as a localiser tells it."""
+"""Publishes the pose of odometry's frame in the map (REP-105), like a localiser."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sim_bridge.simulation.random_streams import Purpose, stream
 from sim_bridge.simulation.world import SimulatedWorld
 
 KINDS = ("none", "exact", "noisy")
-"""Who tells where a robot is: nobody, for a localiser of the user's own; the truth; the truth with errors."""
+"""How a robot is localised: none (by the user's own localiser), true pose, or pose with errors."""
 
 
 class LocalisationPublisher:
     """`amcl_pose` and the transform from `map` to odometry's frame, for one robot.
 
     Attributes:
-        publisher: Publisher of `amcl_pose`; None where nobody localises.
+        publisher: Publisher of `amcl_pose`; None without localisation.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class LocalisationPublisher:
         self.begin_episode()
 
     def begin_episode(self) -> None:
-        """Localise anew."""
+        """Start localising for a new episode."""
         random = stream(self._world.seed, Purpose.LOCALISATION, self._robot)
         self._localiser = Localiser(self._error, self._heading_error, self._rate, random)
         self._schedule = Schedule(self._rate, self._world.options.rate)
         self._correction = np.zeros(3)
 
     def update(self, time: int, odometry: Array) -> list[TransformStamped]:
-        """Send a pose if one is due, and return the transform, in a list; an empty list where nobody localises.
+        """Send a pose if one is due; return a list with the transform, empty without localisation.
 
         Args:
             time: Simulation time [ns].
@@ -86,7 +86,7 @@ class LocalisationPublisher:
 
 
 def _turn(rotation: Any, angle: float, flat: bool) -> None:
-    """Write a turn of the plane, counter-clockwise [rad], into a quaternion."""
+    """Write a rotation in the plane, counter-clockwise [rad], into a quaternion."""
     rotation.w = math.cos(0.5 * angle)
     if flat:
         rotation.z = math.sin(0.5 * angle)

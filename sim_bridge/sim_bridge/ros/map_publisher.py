@@ -20,7 +20,7 @@ _OBSTACLE = (0.80, 0.50, 0.30)
 
 
 class MapPublisher:
-    """Sends map and walls of a world in the x-y plane, at the start and whenever they change."""
+    """Publishes the map and walls of a world in the x-y plane whenever they change."""
 
     def __init__(self, node: Node, world: SimulatedWorld) -> None:
         self._world = world
@@ -29,7 +29,7 @@ class MapPublisher:
         self._sent: World | None = None
 
     def publish(self, time: int) -> None:
-        """Send the episode's map and walls at simulation time `time` [ns], unless they are those sent last."""
+        """Send the episode's map and walls at simulation time `time` [ns], unless they are unchanged."""
         world = self._world
         if world.geometry == self._sent:
             return
@@ -45,7 +45,7 @@ class MapPublisher:
         self._walls.publish(MarkerArray(markers=markers))
 
     def _mapped(self) -> OccupancyMap:
-        """Return the task's map, on which its obstacles are not, or the map of its arena or corridor."""
+        """Return the task's map, without its obstacles, or the map of its arena or corridor."""
         world = self._world
         if world.task.map is not None:
             return world.task.map.map

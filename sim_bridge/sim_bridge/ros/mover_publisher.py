@@ -18,10 +18,10 @@ _COLOUR = (0.85, 0.20, 0.25)
 
 
 class MoverPublisher:
-    """Sends where the movers of a world are.
+    """Publishes the movers of a world.
 
     Attributes:
-        publishers: One for each topic.
+        publishers: One per topic.
     """
 
     def __init__(self, node: Node, world: SimulatedWorld) -> None:
@@ -35,7 +35,7 @@ class MoverPublisher:
         self._shown = MarkerArray(markers=[self._marker(number, radius) for number, radius in enumerate(radii)])
 
     def publish(self, time: int) -> None:
-        """Send places and velocities at simulation time `time` [ns]."""
+        """Send positions and velocities at simulation time `time` [ns]."""
         states, stamp = self._world.movers(), to_stamp(time)
         self._message.header.stamp = stamp
         rows = zip(states.positions.tolist(), states.velocities.tolist(), strict=True)

@@ -1,15 +1,15 @@
-"""Wall time and simulation time: the physics steps that are due, and the real-time factor that is reached."""
+"""Paces simulation by wall time: the physics steps due, and the measured real-time factor."""
 
 from __future__ import annotations
 
 import math
 
 LONGEST_GAP = 0.1
-"""Wall time [s] that is made up for at once: after a longer gap (a pause, a busy machine) the rest is let go."""
+"""Maximum wall time to catch up [s]; after a longer gap (a pause, a busy machine) the rest is dropped."""
 
 
 class Pacer:
-    """Counts the physics steps that keep the world at a factor of wall time; lost time is not made up."""
+    """Counts the physics steps that keep the world at a factor of wall time; lost time is not caught up."""
 
     def __init__(self, rate: int) -> None:
         """Pace a world of `rate` physics steps per second [Hz]."""
@@ -32,7 +32,7 @@ class Pacer:
         return steps
 
     def rest(self) -> None:
-        """Forget the steps due, since the world is paused."""
+        """Drop the steps due, because the world is paused."""
         self._last, self._owed = None, 0.0
 
 
@@ -56,13 +56,13 @@ class SpeedMeter:
 
 
 class Schedule:
-    """Physics steps at which something that happens so many times per second of simulation time is due, from step 0."""
+    """Schedules something at a frequency in simulation time: tells at which physics steps it is due, from step 0."""
 
     def __init__(self, frequency: float, rate: int) -> None:
         """Begin at step 0.
 
         Args:
-            frequency: [Hz]; at most `rate`.
+            frequency: Frequency [Hz], at most `rate`.
             rate: Physics steps per second [Hz].
         """
         self._period = max(1.0, rate / frequency)
@@ -70,7 +70,7 @@ class Schedule:
         self.next = 0
 
     def due(self, step: int) -> bool:
-        """Return whether it is due at this step, and if so move on to the next time."""
+        """Return whether it is due at this step; if so, schedule the next time."""
         if step < self.next:
             return False
         self._count += 1

@@ -1,4 +1,4 @@
-"""Parameters of the bridge, and the simulation options that they make."""
+"""Parameters of the bridge, converted to simulation options."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ PARAMETERS = (
 
 
 def simulation_options(settings: Mapping[str, Any]) -> SimulationOptions:
-    """Return the options that the parameters ask for.
+    """Convert the parameters to options.
 
     Raises:
-        ParameterError: Two of them contradict each other.
+        ParameterError: Two parameters contradict each other.
     """
     if settings["randomise_width"] and settings["corridor_width"] > 0.0:
         raise ParameterError("parameters 'corridor_width' and 'randomise_width' contradict each other: set one of them")

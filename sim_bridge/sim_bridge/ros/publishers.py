@@ -1,4 +1,4 @@
-"""States of a world as ROS messages, with a count for each topic."""
+"""Publishes the state of a world, counting messages by topic."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class RobotPublisher:
     """Scan, odometry, ground truth, episode status, transforms and model of one robot of a world.
 
     Attributes:
-        publishers: One for each topic.
+        publishers: One per topic.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class RobotPublisher:
         self._episode_message.header.frame_id = WORLD_FRAME
 
     def begin_episode(self) -> None:
-        """Begin another episode."""
+        """Start a new episode."""
         self._localisation.begin_episode()
 
     def publish_scan(self, time: int) -> None:
@@ -105,7 +105,7 @@ class RobotPublisher:
 
 
 class ClockPublisher:
-    """/clock: at most so many times per second of wall and of simulation time; once a second for late joiners."""
+    """Publishes /clock at a maximum rate in wall and simulation time, and once a second for late joiners."""
 
     def __init__(self, node: Node, rate: float) -> None:
         self.publisher = CountedPublisher(node, Clock, "/clock", 1)

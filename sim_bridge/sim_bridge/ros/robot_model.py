@@ -1,4 +1,4 @@
-"""The model of a robot for viewers: its URDF, the frames of its links, and how far its wheels have turned."""
+"""The model of a robot for viewers: its URDF, the frames of its links, and its wheel angles."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class RobotModel:
 
 
 def _read(joint: ET.Element) -> _Joint:
-    """Return a joint whose origin is turned about the vertical alone, such as a lidar's."""
+    """Return the transform of a joint that is rotated about the vertical only, such as a lidar's."""
     links = {part.tag: part.get("link", "") for part in joint}
     origin = joint.find("origin")
     x, y, z = (0.0, 0.0, 0.0) if origin is None else map(float, origin.get("xyz", "0 0 0").split())

@@ -1,4 +1,4 @@
-"""Robot bodies that carry out commands in a physics world, behind one protocol, whatever the engine.
+"""Robot bodies that carry out commands in a physics world, behind one protocol for all engines.
 
 A body takes two commands within its limits, and has a pose in the task's plane.
 """
@@ -29,9 +29,9 @@ class Body(Protocol):
     """A robot's body in the physics world.
 
     Attributes:
-        radius: Radius of a circle around its origin that holds all of it [m].
+        radius: Radius of a circle around its origin that contains it [m].
         bounds: Minimum and maximum commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
-        idle: Command of a robot that gets none (2,).
+        idle: Command without input (2,).
     """
 
     radius: float
@@ -48,16 +48,16 @@ class Body(Protocol):
         """Return the rates of `pose` (3,) [m/s, m/s, rad/s]."""
 
     def state(self) -> Array | None:
-        """Return the state of the task's system (n,); None where pose and velocity tell it."""
+        """Return the state of the task's system (n,); None if it follows from pose and velocity."""
 
     def quaternion(self) -> tuple[float, float, float, float]:
         """Return its attitude (x, y, z, w)."""
 
     def sensor(self) -> SensorPose:
-        """Return where its lidar is."""
+        """Return the frame of its lidar."""
 
     def wheel_angles(self) -> tuple[float, float] | None:
-        """Return how far its left and right wheel have turned [rad]; None where it has none."""
+        """Return the angles of its left and right wheel [rad]; None without wheels."""
 
     def top_speed(self, horizon: float) -> float:
         """Return a bound on the speed of any of its points within the next `horizon` seconds [m/s]."""
@@ -116,8 +116,8 @@ class DifferentialDrive:
         Args:
             base: The robot in the engine.
             drive: Parameters of the drive.
-            bounds: Minimum and maximum commands where the drive sets none (2, 2).
-            radius: Radius of a circle that holds the robot [m].
+            bounds: Minimum and maximum commands, if the drive has none (2, 2).
+            radius: Radius of a circle that contains the robot [m].
             options: Settings of the episode.
         """
         self._base, self._drive = base, drive
@@ -176,8 +176,8 @@ class DifferentialDrive:
 class PlanarQuadrotor:
     """Two rotor pairs in the x-z plane, thesis Eq. 3.10; a `Body`.
 
-    An engine's step alone is first order. Here its joint speeds are those of half a step ago (leapfrog, second
-    order): the first push lasts half a step, and where the command changes, old and new push for half a step each.
+    An engine's step alone is first order. Here joint speeds lag by half a step (leapfrog, second order): the first push
+    lasts half a step, and when the command changes, the old and the new one push for half a step each.
     """
 
     def __init__(self, joints: PlanarJoints, rate: int, system: System, radius: float) -> None:
@@ -187,7 +187,7 @@ class PlanarQuadrotor:
             joints: The robot in the engine.
             rate: Physics steps per second [Hz].
             system: Model of thesis Eq. 3.10 with its parameters.
-            radius: Radius of a circle that holds the robot [m].
+            radius: Radius of a circle that contains the robot [m].
         """
         self._joints, self._rate = joints, rate
         self._rates = system.equations(math, system.parameters)
@@ -247,7 +247,7 @@ class PlanarQuadrotor:
 
 
 def make_body(engine: Engine, task: NavigationTask, system: System, state: Array, options: SimulationOptions) -> Body:
-    """Put the task's robot into the world at a start state (n,), ordered as its system names it.
+    """Add the task's robot to the world at a start state (n,), in its system's order.
 
     Raises:
         SimulationError: The body cannot have such a state.
@@ -270,7 +270,7 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
 
 
 def _robot(task: NavigationTask) -> Robot:
-    """Return the robot of a task whose body is none of a model."""
+    """Return the robot of a task whose body is not a model's."""
     assert task.robot.robot is not None
     return task.robot.robot
 

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class CommandChannel:
-    """The last command of one robot, as its motors see it. Times are counted in physics steps."""
+    """The last command of a robot as its motors see it, with times in physics steps."""
 
     def __init__(self, bounds: Array, idle: Array, truncation: bool = False, delay: int = 0, timeout: int = 0) -> None:
         """Start without a command.
@@ -19,9 +19,9 @@ class CommandChannel:
         Args:
             bounds: Minimum and maximum commands (2, 2).
             idle: Command before the first one and after a time-out (2,).
-            truncation: Whether commands are cut to whole hundredths towards zero, as the TurtleBot3 firmware does.
+            truncation: Whether to truncate commands to hundredths, as the TurtleBot3 firmware does.
             delay: Physics steps from arrival to effect.
-            timeout: Physics steps after which a command no longer holds; 0 for never.
+            timeout: Physics steps after which a command expires; 0 for never.
         """
         self._bounds, self._idle = bounds, idle
         self._truncation, self._delay, self._timeout = truncation, delay, timeout
@@ -29,7 +29,7 @@ class CommandChannel:
         self._current, self._expires = idle, -1
 
     def send(self, command: ArrayLike, step: int) -> bool:
-        """Take a command (2,) that arrives before physics step `step`; return False where it is refused."""
+        """Accept a command (2,) that arrives before physics step `step`; return False if it is refused."""
         values = np.array(command, dtype=float)
         if values.shape != (2,) or not np.isfinite(values).all():
             return False
@@ -40,7 +40,7 @@ class CommandChannel:
         return True
 
     def at(self, step: int) -> Array:
-        """Return the command (2,) that the motors get in physics step `step`; steps never go back."""
+        """Return the command (2,) of the motors in physics step `step`; steps must not decrease."""
         while self._waiting and self._waiting[0][0] <= step:
             begin, self._current = self._waiting.popleft()
             self._expires = begin + self._timeout if self._timeout else -1

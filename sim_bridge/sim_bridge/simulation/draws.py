@@ -1,4 +1,4 @@
-"""Draws of an episode: from a seed the walls, the simulation's settings, the movers and the robots' starts."""
+"""Draws an episode from its seed: walls, simulation settings, movers and start states."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class EpisodeDraws(NamedTuple):
 
     Attributes:
         geometry: Walls and obstacles.
-        conditions: Settings of the simulation, with what the task leaves to chance.
+        conditions: Settings of the simulation, including those that the task randomises.
         movers: Plans of the moving obstacles.
         starts: State (n,) in which each robot starts.
     """
@@ -49,11 +49,11 @@ def draw_episode(
         options: Settings of the simulation.
         seed: Seed of the episode.
         robots: Number of robots.
-        width: Free width of a corridor [m]; None for the task's, or a random one where the options say so.
+        width: Free width of a corridor [m]; None for the task's, or a random one if the options say so.
         start: State (n,) in which the only robot starts; None to draw it.
 
     Raises:
-        SimulationError, TaskError: The width does not suit the task, or the robots find no room.
+        SimulationError, TaskError: The width does not suit the task, or there is no room for the robots.
     """
     corridor = task.corridor
     if corridor is not None and width is None and options.randomise_width:
@@ -67,10 +67,10 @@ def draw_episode(
 
 
 def checked_start(start: ArrayLike, system: System, robots: int) -> Array:
-    """Return a start that was asked for as a state (n,).
+    """Check a given start and return it as a state (n,).
 
     Raises:
-        SimulationError: It is none of the system, or there are several robots.
+        SimulationError: It is not a state of the system, or there are several robots.
     """
     state = np.array(start, dtype=float)
     if robots > 1 or state.shape != (len(system.state_names),) or not np.isfinite(state).all():

@@ -19,8 +19,8 @@ class Contact:
     """The contact that ended an episode.
 
     Attributes:
-        speed: Maximum speed of any point of the robot just before [m/s]: about 0 where it stood.
-        mover: Number of the mover that it met; None for a wall, an obstacle or another robot.
+        speed: Maximum speed of any point of the robot just before [m/s]: about 0 if it stood.
+        mover: Number of the mover that it hit; None for a wall, an obstacle or another robot.
     """
 
     speed: float
@@ -38,12 +38,12 @@ class EpisodeState:
     """Outcome, clearance and progress of one robot.
 
     Attributes:
-        outcome: Outcome, latched by the first terminal event.
+        outcome: Outcome, set by the first terminal event.
         tilted: Whether the collision is a tilt beyond the task's limit.
-        contact: Contact that ended it; None without one.
-        clearance: Distance to the nearest wall, obstacle, mover or robot when it was last measured [m].
-        smallest_clearance: Smallest clearance of the episode [m].
-        progress: Part of the path from start to goal that is done; NaN without a path.
+        contact: Contact that ended it, or None.
+        clearance: Last measured distance to a wall, obstacle, mover or robot [m].
+        smallest_clearance: Minimum clearance of the episode [m].
+        progress: Fraction of the path from start to goal; NaN without a path.
     """
 
     outcome: Outcome = Outcome.RUNNING
@@ -54,14 +54,14 @@ class EpisodeState:
     progress: float = math.nan
 
     def record_clearance(self, clearance: float) -> None:
-        """Take a measured clearance [m]; touching is a collision."""
+        """Record a measured clearance [m]; touching is a collision."""
         self.clearance = clearance
         self.smallest_clearance = min(self.smallest_clearance, clearance)
         if clearance <= 0.0:
             self.end(Outcome.COLLISION)
 
     def end(self, outcome: Outcome, tilted: bool = False) -> None:
-        """Latch an outcome; later ones change nothing."""
+        """Set the outcome, unless it is set."""
         if self.outcome is Outcome.RUNNING:
             self.outcome, self.tilted = outcome, tilted
 
@@ -83,11 +83,11 @@ class TerminationChecker:
         self._goal_s = task.goal.intervals["s"].low if path is not None and "s" in task.goal.intervals else math.inf
 
     def start_s(self, pose: Array) -> float:
-        """Return where on the path a pose x, y, theta (3,) is [m]; NaN without a path."""
+        """Return the arc length of a pose x, y, theta (3,) along the path [m]; NaN without a path."""
         return math.nan if self._path is None else float(self._path(pose)[0])
 
     def check(self, episode: EpisodeState, state: Array, pose: Array, elapsed: float, start_s: float) -> None:
-        """Bring an episode up to date.
+        """Update an episode.
 
         Args:
             episode: State of the episode, which is changed in place.

@@ -1,6 +1,6 @@
-"""A planar lidar: ray casts, noise and drop-out; ranges as REP-117 wants them, or as a TurtleBot3's drivers write them.
+"""A planar lidar: ray casts, noise and drop-out; ranges by REP-117, or as TurtleBot3 drivers write them.
 
-By REP-117, +inf: nothing within reach. -inf: something nearer than can be measured. NaN: the beam was lost.
+In REP-117, +inf means nothing within reach, -inf something too close to measure, and NaN a lost beam.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LDS02_CLAIM = (0.0, 100.0)
 
 @dataclass(frozen=True)
 class SensorPose:
-    """Where a lidar is, and the plane it turns in.
+    """Position of a lidar, and the plane it scans.
 
     Attributes:
         origin: Position of the lidar (3,) [m].
@@ -40,12 +40,12 @@ class SensorPose:
 
 @dataclass(frozen=True)
 class LidarScan:
-    """One turn of a lidar, with the fields of sensor_msgs/LaserScan.
+    """One scan, with the fields of sensor_msgs/LaserScan.
 
     Attributes:
         ranges: Measured distances (beams,) [m].
         angle_min: Bearing of the first beam [rad].
-        angle_increment: From beam to beam [rad].
+        angle_increment: Angle between beams [rad].
         range_min: Minimum distance that the driver claims to measure [m].
         range_max: Maximum distance that it claims [m].
         yaw: Direction of its zero bearing in the robot's frame [rad].
@@ -91,14 +91,14 @@ class Lidar:
     def scan(
         self, engine: Engine, frame: SensorPose, robot: int, random: np.random.Generator, buried: bool = False
     ) -> LidarScan:
-        """Return one turn.
+        """Return one scan.
 
         Args:
-            engine: The world to look at.
-            frame: Where the sensor is.
-            robot: Number of the robot that carries it, which it overlooks.
-            random: Noise, drop-out, and the count of beams where it varies.
-            buried: The sensor is inside a shape, where rays meet no surface: all beams are too close.
+            engine: World to scan.
+            frame: Frame of the sensor.
+            robot: Number of the robot that carries it, which it ignores.
+            random: Source of noise, drop-out, and a varying number of beams.
+            buried: Whether the sensor is inside a shape, so that all beams are too close.
         """
         bearings, increment, (least, largest) = self._beams(random)
         if buried:
@@ -122,7 +122,7 @@ class Lidar:
         return LidarScan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
 
     def _beams(self, random: np.random.Generator) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
-        """Return the bearings of this turn, their increment, and the limits of its range."""
+        """Return the bearings of this scan, their increment, and its range limits."""
         if self.kind != "lds02":
             return self.bearings, self.spec.angle_increment, (self.spec.range.low, self.spec.range.high)
         count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, the count the increment

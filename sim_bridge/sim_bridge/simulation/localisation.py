@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _MEMORY = 5.0
-"""Time after which an error has lost most of what it was [s]."""
+"""Correlation time of the errors [s]."""
 
 
 class Localiser:
-    """Tells the true pose with errors that vary slowly (Ornstein-Uhlenbeck processes)."""
+    """Returns the true pose with slowly varying errors (Ornstein-Uhlenbeck processes)."""
 
     def __init__(self, error: float, heading_error: float, rate: float, random: np.random.Generator) -> None:
         """Draw the first errors.
@@ -27,7 +27,7 @@ class Localiser:
             error: Standard deviation of each coordinate [m].
             heading_error: Standard deviation of the angle [rad].
             rate: Poses per second [Hz].
-            random: Draws the errors.
+            random: Random generator of the errors.
         """
         self._size = np.array((error, error, heading_error))
         self._kept = math.exp(-1.0 / (rate * _MEMORY))

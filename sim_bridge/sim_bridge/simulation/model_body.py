@@ -1,4 +1,4 @@
-"""A body that is a disc and moves exactly as a system model says: robots of one's own, without a URDF."""
+"""A disc-shaped body that moves exactly by a system model, for own robots without a URDF."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sim_bridge.simulation.lidar import SensorPose
 Array = NDArray[np.float64]
 
 LIDAR_HEIGHT = 0.1
-"""Height of the lidar above the floor of the x-y plane [m]; it is in the disc's middle."""
+"""Height of the lidar above the floor of the x-y plane [m], at the disc's centre."""
 
 
 def advance(system: System, states: Array, commands: Array, step: float) -> Array:
-    """Return states (..., n) a step [s] later, each component within the bounds that its model declares."""
+    """Return states (..., n) a step [s] later, clipped to the model's bounds."""
     low = [-math.inf if state.periodic else state.lower for state in system.states]
     high = [math.inf if state.periodic else state.upper for state in system.states]
     return system.wrap(np.clip(system.step(states, commands, dt=step), low, high))
@@ -67,7 +67,7 @@ class ModelBody:
         return self._of(self._system.dynamics(self._state, self._command))
 
     def _of(self, values: Array) -> Array:
-        """Return the parts of a state, or of its rates, that are those of a pose (3,)."""
+        """Return the pose components (3,) of a state or of its rates."""
         x, second = values[self._places]
         return np.array((x, second, 0.0 if self._angle is None else values[self._angle]))
 

@@ -19,10 +19,10 @@ _STILL: Pair = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class MoverStates:
-    """Where movers are, in the order of the task file.
+    """Positions of the movers, in the order of the task file.
 
     Attributes:
-        positions: Positions of their middles (m, 2) [m].
+        positions: Positions of their centres (m, 2) [m].
         velocities: Their velocities (m, 2) [m/s].
         radii: Their radii (m,) [m].
     """
@@ -50,13 +50,13 @@ class Movers:
     """
 
     def __init__(self, engine: Engine, plans: Sequence[MoverPlan], rate: int, robot_radius: float) -> None:
-        """Put them at the beginnings of their ways.
+        """Put them at the start of their paths.
 
         Args:
-            engine: World that they are added to.
-            plans: Ways, speeds and sizes of the movers.
+            engine: World to add them to.
+            plans: Paths, speeds and sizes of the movers.
             rate: Physics steps per second [Hz].
-            robot_radius: Radius of a circle that holds a robot [m].
+            robot_radius: Radius of a circle that contains a robot [m].
         """
         self._engine, self._rate, self._robot_radius = engine, rate, robot_radius
         self._movers = []
@@ -75,7 +75,7 @@ class Movers:
 
         Args:
             step: Physics steps since the start of the episode.
-            robots: Returns the robots' positions [m].
+            robots: Function that returns the robots' positions [m].
         """
         places = robots() if self._look else []
         for mover in self._movers:
@@ -98,12 +98,12 @@ class Movers:
         mover.position, mover.velocity = there, velocity
 
     def _blocked(self, mover: _Mover, there: Pair, gap: float, robots: Sequence[Pair]) -> bool:
-        """Tell whether going on would bring it too near to a robot."""
+        """Return whether moving on would bring it too close to a robot."""
         least = mover.plan.radius + self._robot_radius + gap
         return any(math.dist(there, robot) < min(least, math.dist(mover.position, robot)) for robot in robots)
 
     def states(self) -> MoverStates:
-        """Return where they are now."""
+        """Return their current positions."""
         return MoverStates(
             np.array([mover.position for mover in self._movers]).reshape(-1, 2),
             np.array([mover.velocity for mover in self._movers]).reshape(-1, 2),
@@ -111,11 +111,11 @@ class Movers:
         )
 
     def hold(self, place: Array) -> bool:
-        """Tell whether a place (2,) [m] is inside a mover."""
+        """Return whether a position (2,) [m] is inside a mover."""
         states = self.states()
         return bool((np.linalg.norm(states.positions - place, axis=1) < states.radii).any())
 
     def touching(self, robot: int, reach: float) -> int | None:
-        """Return the number of the mover that a robot touches, or comes nearer to than `reach` [m]; None for none."""
+        """Return the number of a mover that a robot touches or is within `reach` [m] of, or None."""
         distances = [self._engine.mover_distance(robot, number, reach) for number in range(len(self))]
         return int(np.argmin(distances)) if distances and min(distances) < reach else None

@@ -1,4 +1,4 @@
-"""Names and bounds of what a task's robot observes."""
+"""Names and bounds of a task's observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry that drifts like that of wheels: distances and turns are measured with small constant errors."""
+"""Odometry that drifts like wheel odometry: distances and turns have small constant errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class OdometryReading:
 
 
 class Odometry:
-    """Adds up the robot's own motion from its start pose; without drift it is the true pose in the frame `map`.
+    """Integrates the robot's motion from its start pose; without drift it is the true pose in the frame `map`.
 
     Each episode draws three errors of standard deviation `drift`: of the distance per metre, of the turn per radian,
     and a turn per metre [rad/m] (wheels of unequal size).
@@ -36,9 +36,9 @@ class Odometry:
 
         Args:
             drift: Standard deviation of the errors.
-            random: Draws the errors.
+            random: Random generator of the errors.
             pose: Pose at the start (3,).
-            wheel_radius: True radius of the wheels over the one that is counted with.
+            wheel_radius: True radius of the wheels relative to the assumed one.
         """
         self._distance, self._turn, self._bend = drift * random.standard_normal(3)
         if wheel_radius != 1.0:
@@ -54,7 +54,7 @@ class Odometry:
         """Return the pose (3,): two coordinates of the plane [m] and the angle, counter-clockwise [rad].
 
         Args:
-            true_pose: (3,) the same in truth, less than half a turn after the last one.
+            true_pose: True pose (3,), less than half a turn after the last one.
         """
         if not self._drifting:
             self.pose = true_pose.copy()
@@ -72,6 +72,6 @@ class Odometry:
         return self.pose
 
     def speeds(self, forward: float, turn: float) -> tuple[float, float]:
-        """Return a forward speed [m/s] and a turn rate [rad/s] as they are measured."""
+        """Return the measured forward speed [m/s] and turn rate [rad/s]."""
         forward *= 1.0 + self._distance
         return forward, (1.0 + self._turn) * turn + self._bend * abs(forward)

@@ -18,7 +18,7 @@ class SimulationOptions:
 
     Attributes:
         engine: Physics engine: "pybullet", "mujoco", "planar" (no contact forces, several times as fast), or "auto" for
-            PyBullet where it is installed, else MuJoCo.
+            PyBullet if installed, else MuJoCo.
         rate: Physics steps per second [Hz].
         gui: Whether PyBullet's window is shown.
         scan_noise: Standard deviation of a range [m]; None for the task's.
@@ -27,15 +27,15 @@ class SimulationOptions:
         lost_beam: Reading of a lost beam of the task's lidar: "nan", "inf" or "zero".
         lidar: Name of a lidar in `sim_bridge.LIDARS`.
         odom_drift: Standard deviation of odometry's relative errors.
-        command_truncation: Whether commands of a drive are cut to hundredths, as the TurtleBot3 firmware does.
+        command_truncation: Whether to truncate a drive's commands to hundredths, as the TurtleBot3 firmware does.
         command_delay: Time from the arrival of a command to its effect [s].
         command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
         friction: Friction coefficient between wheels and floor; the planar engine's wheels never slip.
-        wheel_radius: True radius of the wheels over the one that robot and odometry count with.
+        wheel_radius: True radius of the wheels relative to the one that robot and odometry assume.
         motor_lag: Time constant of the wheels' speed [s]; None for the robot's own.
-        randomise: Whether each episode draws from the task's ranges (`randomisation` of its file), in place of the
-            numbers here.
-        randomise_width: Whether the corridor's width is drawn from the task's range at each reset that names none.
+        randomise: Whether each episode draws from the task's ranges (`randomisation` of its file), instead of these
+            settings.
+        randomise_width: Whether resets without a width draw the corridor's width from the task's range.
     """
 
     engine: str = "auto"
@@ -57,7 +57,7 @@ class SimulationOptions:
     randomise_width: bool = False
 
     def drawn(self, ranges: Mapping[str, Interval], random: np.random.Generator) -> SimulationOptions:
-        """Return the settings of one episode: numbers drawn from ranges by name, if wanted."""
+        """Return the settings of one episode, drawn from ranges by name if randomised."""
         if not ranges or not self.randomise:
             return self
         numbers: dict[str, Any] = {name: random.uniform(low, high) for name, (low, high) in sorted(ranges.items())}
@@ -65,7 +65,7 @@ class SimulationOptions:
 
 
 def whole_steps(task: NavigationTask, rate: int) -> int:
-    """Return the physics steps of a task's time step.
+    """Return the number of physics steps in a task's time step.
 
     Raises:
         SimulationError: It is not a whole number at this rate [Hz].

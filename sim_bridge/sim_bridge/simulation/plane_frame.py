@@ -1,4 +1,4 @@
-"""Poses and velocities in a task's plane, as its system names them, and in the axes of a body."""
+"""Converts poses and velocities in a task's plane between its system's states and a body's axes."""
 
 from __future__ import annotations
 
@@ -56,5 +56,5 @@ class PlaneFrame:
         return np.array((c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1], velocity[2]))
 
     def counter_clockwise(self, pose: Array) -> Array:
-        """Return a pose (3,) with its angle counter-clockwise in the plane; its own inverse."""
+        """Return a pose (3,) with a counter-clockwise angle in the plane; it is its own inverse."""
         return pose * (1.0, 1.0, self._sense)

@@ -1,4 +1,4 @@
-"""Streams of random numbers, one for each robot and purpose, so that none depends on how often another is used."""
+"""Random streams, one per robot and purpose, so that none depends on the use of another."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Purpose(IntEnum):
-    """Use of a stream."""
+    """Purpose of a stream."""
 
     START = 0
     WIDTH = 1
@@ -21,5 +21,5 @@ class Purpose(IntEnum):
 
 
 def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:
-    """Return the stream of an episode's seed."""
+    """Return a random stream of an episode's seed."""
     return np.random.default_rng((seed, robot, purpose))

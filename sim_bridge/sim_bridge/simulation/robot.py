@@ -1,4 +1,4 @@
-"""The robot of a simulated world for `ctrl_rl_core.driving.drive`: it shows `Sensors` and takes commands.
+"""The robot of a simulated world for `ctrl_rl_core.driving.drive`: it provides `Sensors` and takes commands.
 
 robot = SimulatedRobot(SimulatedWorld(task), period=0.2)
 episodes = drive(robot, PolicyDriver(policy), seeds=range(100))
@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 _NO_SCAN = LidarScan(np.empty(0, np.float32), 0.0, 1.0, 0.0, 1.0)
 _STILL = 0.005
-"""Speed below which a robot stands, and its turn rate [m/s, rad/s]."""
+"""Speed [m/s] and turn rate [rad/s] below which a robot stands."""
 
 
 class RobotSenses:
-    """What the first robot of a world senses, with the last scan that was taken here.
+    """What a world's first robot senses, with the last scan.
 
     Args:
         world: World of the robot.

@@ -1,4 +1,4 @@
-"""The URDF file of a robot: the suite's, one of its own, or one that is made of its numbers."""
+"""The URDF file of a robot: shipped, its own, or generated from its numbers."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim_bridge.engines.engine import URDF_FOLDER
 from sim_bridge.errors import SimulationError
 
 _WHEEL_MASS = 0.05
-"""Mass of a wheel as a part of the robot's."""
+"""Mass of a wheel as a fraction of the robot's."""
 _RIM = 0.002
-"""Width of the rim that touches the floor [m]: a wide one rolls on either of its edges."""
+"""Width of the rim on the floor [m]: a wide rim would roll on one of its edges."""
 _CLEARANCE = 0.4
-"""Height of the body above the floor, as a part of the wheels' radius."""
+"""Height of the body above the floor, as a fraction of the wheel radius."""
 _HEIGHT = 0.2
-"""Height of the body of a robot whose lidar is not said to lie higher or lower [m]."""
+"""Height of the body of a robot without a lidar height [m]."""
 _BELOW = 0.02
 """Height of the lidar's mirror above the body [m]."""
 
@@ -29,7 +29,7 @@ def urdf_of(robot: Robot) -> Path:
     """Return the URDF file of a robot; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
 
     Raises:
-        SimulationError: There is none, and no wheels to make one with.
+        SimulationError: There is no file, and no wheels to generate one from.
     """
     if robot.urdf:
         file = robot.urdf_file or URDF_FOLDER / robot.urdf
@@ -47,7 +47,7 @@ def urdf_of(robot: Robot) -> Path:
 
 
 def make_urdf(robot: Robot) -> str:
-    """Return a URDF of a robot's numbers: a round or rectangular body, two wheels, and two balls that hold it level."""
+    """Generate a URDF from a robot's numbers: a round or rectangular body, two wheels, and two casters."""
     assert robot.wheels is not None
     wheels, lidar = robot.wheels, robot.lidar
     own, mass = _WHEEL_MASS * robot.mass, (1.0 - 2.0 * _WHEEL_MASS) * robot.mass
@@ -90,7 +90,7 @@ def make_urdf(robot: Robot) -> str:
 
 @cache
 def _folder() -> Path:
-    """Return a folder that goes when this process ends."""
+    """Return a temporary folder that is removed when this process ends."""
     folder = tempfile.mkdtemp(prefix="ctrl_rl-urdf-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)

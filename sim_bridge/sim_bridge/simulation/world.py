@@ -34,7 +34,7 @@ from sim_bridge.simulation.random_streams import Purpose, stream
 Array = NDArray[np.float64]
 
 TOUCH = 5e-4
-"""Bodies nearer than this touch [m]: an engine's contacts hold them apart by less."""
+"""Distance below which bodies touch [m]; an engine's contacts keep less distance."""
 _JUDGED_PER_SECOND = 30
 
 
@@ -52,9 +52,9 @@ class _Robot:
 
 
 class SimulatedWorld:
-    """A task's world with any number of equal robots.
+    """A task's world with any number of identical robots.
 
-    The same seed, options and commands give the same numbers, bit by bit, on the same machine.
+    The same seed, options and commands give bitwise identical results on the same machine.
 
     Attributes:
         task: Task that is simulated.
@@ -62,7 +62,7 @@ class SimulatedWorld:
         system: Model of the task, which names and orders the states.
         options: Settings of the simulation.
         geometry: Walls and obstacles of this episode.
-        conditions: Settings of this episode, with what it drew.
+        conditions: Settings of this episode, including random ones.
         seed: Seed of this episode.
         lidar: Lidar of each robot.
         engine: Name of the physics engine.
@@ -87,7 +87,7 @@ class SimulatedWorld:
             options: Settings of the simulation; the defaults unless given.
 
         Raises:
-            SimulationError: The robots find no room, or the engine cannot be had.
+            SimulationError: There is no room for the robots, or the engine is not available.
             TaskError: The width does not suit the task.
         """
         self.options = options or SimulationOptions()
@@ -111,14 +111,14 @@ class SimulatedWorld:
             raise
 
     def reset(self, seed: int, start: ArrayLike | None = None) -> None:
-        """Build everything anew for an episode; on an error the old one goes on.
+        """Build a new episode; on an error the old one continues.
 
         Args:
             seed: Seed of the episode.
             start: State (n,) in which the only robot starts; drawn from the task's start set unless given.
 
         Raises:
-            SimulationError, TaskError: As for a new world.
+            SimulationError, TaskError: As in the constructor.
         """
         wanted = None if start is None else checked_start(start, self.system, self._count)
         geometry, conditions, plans, starts = draw_episode(
@@ -172,11 +172,11 @@ class SimulatedWorld:
 
     @property
     def rest(self) -> Array:
-        """Command of a robot that has nothing to do (2,): zeros, or the thrusts that carry a quadrotor [N]."""
+        """Idle command (2,): zeros, or the thrusts at which a quadrotor hovers [N]."""
         return self._robots[0].body.idle
 
     def command(self, robot: int, command: ArrayLike) -> bool:
-        """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False where it is not finite."""
+        """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False if it is not finite."""
         return self._robots[robot].channel.send(command, self.steps)
 
     def step(self, count: int = 1) -> None:
@@ -205,11 +205,11 @@ class SimulatedWorld:
         return self._frame.in_body_axes(body.pose()[2], body.velocity())
 
     def wheel_angles(self, robot: int = 0) -> tuple[float, float] | None:
-        """Return how far the left and right wheel have turned [rad]; None for a robot without wheels."""
+        """Return the angles of the left and right wheel [rad]; None without wheels."""
         return self._robots[robot].body.wheel_angles()
 
     def state(self, robot: int = 0) -> Array:
-        """Return the true state (n,) as the task's system names it, angles in [-pi, pi)."""
+        """Return the true state (n,) of the task's system, angles in [-pi, pi)."""
         return self._state_of(self._robots[robot].body)
 
     def _state_of(self, body: Body) -> Array:
@@ -217,7 +217,7 @@ class SimulatedWorld:
         return self._frame.named(body.pose(), body.velocity()) if known is None else known
 
     def measured_state(self, robot: int = 0) -> Array:
-        """Return the state (n,) as odometry has it."""
+        """Return the state (n,) by odometry."""
         reading, known = self.odometry(robot), self._robots[robot].body.state()
         if known is not None:
             return self._frame.placed(known, reading.pose)
@@ -236,7 +236,7 @@ class SimulatedWorld:
         return self.laser_scan(robot).ranges
 
     def laser_scan(self, robot: int = 0) -> LidarScan:
-        """Return one turn of the lidar; each call draws new noise."""
+        """Return one scan of the lidar; each call draws new noise."""
         entry = self._robots[robot]
         frame = entry.body.sensor()
         buried = False
@@ -250,13 +250,13 @@ class SimulatedWorld:
     def sensors(
         self, robot: int = 0, goal: Array | None = None, command: Array | None = None, scan: LidarScan | None = None
     ) -> Sensors:
-        """Return what a robot senses now, its pose by odometry.
+        """Return what a robot senses now, with its pose by odometry.
 
         Args:
             robot: Number of the robot.
-            goal: Goal x, y, theta (3,) [m, m, rad]; None where there is none.
-            command: Last command (2,); zeros unless given.
-            scan: Scan that was taken now; a new one unless given.
+            goal: Goal x, y, theta (3,) [m, m, rad], or None.
+            command: Last command (2,); zeros by default.
+            scan: Current scan; a new one by default.
         """
         scan, reading = scan or self.laser_scan(robot), self.odometry(robot)
         odometry = make_odometry(reading.pose, reading.velocity, self.plane)
@@ -264,7 +264,7 @@ class SimulatedWorld:
         return Sensors(scan.ranges, scan.geometry, odometry, planar(odometry[:7].tolist()), goal, last, self.elapsed)
 
     def clearance(self, robot: int = 0) -> float:
-        """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 in touch."""
+        """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 on contact."""
         entry = self._robots[robot]
         if entry.measured_at != self.steps:
             known = entry.episode.clearance
@@ -277,16 +277,16 @@ class SimulatedWorld:
         return entry.episode.clearance
 
     def episode(self, robot: int = 0) -> EpisodeState:
-        """Return the state of the robot's episode now."""
+        """Return the current state of the robot's episode."""
         self._bring_up_to_date(robot)
         return self._robots[robot].episode
 
     def movers(self) -> MoverStates:
-        """Return where the task's moving obstacles are now."""
+        """Return the current positions of the task's movers."""
         return self._movers.states()
 
     def close(self) -> None:
-        """Give the physics engine back; a second call does nothing."""
+        """Release the physics engine; may be called twice."""
         self._engine.close()
 
     def _places(self) -> list[tuple[float, float]]:
@@ -295,7 +295,7 @@ class SimulatedWorld:
         return [(float(pose[0]), float(pose[1])) for pose in poses]
 
     def _check(self) -> None:
-        """Check all robots, and set the time of the next check: at 30 Hz, or sooner where one could touch something."""
+        """Check all robots and schedule the next check: at 30 Hz, or sooner if one could touch something."""
         for robot in range(self._count):
             self._bring_up_to_date(robot)
         horizon = self._judge_every / self.options.rate

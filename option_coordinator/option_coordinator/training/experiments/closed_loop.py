@@ -6,7 +6,6 @@ of its policy. An interrupted run continues where it stopped.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,9 @@ from shutil import rmtree
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.io import read_json, with_digest
-from ctrl_rl_learning.study import RunOptions, train
+from ctrl_rl_learning.study import RunOptions, Study, train
 from numpy.typing import NDArray
 
-from ctrl_rl_core import atomic_write
 from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.option_env import OptionEnvironment
 from option_coordinator.environments.roll_out import OptionEpisode, play_episodes
@@ -120,30 +117,26 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
     Raises:
         CtrlRlError: There is no such task; a file of an earlier call is damaged; the disk refuses.
     """
-    bags: list[Path] = []
-    rounds: list[dict[str, Any]] = []
-    for number in range(settings.rounds + 1):
-        here = folder / f"round_{number}"
-        here.mkdir(parents=True, exist_ok=True)
-        done = here / "result.json"
-        if not done.exists():
-            seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
-            environment = make_environment(task)
-            result: dict[str, Any] = {"round": number}
-            driver = _driver(task, environment, here, bags, settings, seed, result)
-            rmtree(here / "bag", ignore_errors=True)  # of a call that was cut off
-            with TeamBag(here / "bag", environment.discount) as bag:
-                for _ in play(environment, driver, range(seed, seed + settings.episodes), bag):
-                    pass
-            tested = list(play(environment, driver, fresh(settings.tests)))
-            result |= {**summary(tested), "returns": [episode.returned for episode in tested]}
-            atomic_write(done, json.dumps(with_digest(result)))
-        bags.append(here / "bag")
-        rounds.append(read_json(done))
-        told = rounds[-1]
+    bags = [folder / f"round_{number}" / "bag" for number in range(settings.rounds + 1)]
+
+    def work(number: int, here: Path) -> dict[str, Any]:
+        seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
+        environment = make_environment(task)
+        result: dict[str, Any] = {"round": number}
+        driver = _driver(task, environment, here, bags[:number], settings, seed, result)
+        rmtree(here / "bag", ignore_errors=True)  # of a call that was cut off
+        with TeamBag(here / "bag", environment.discount) as bag:
+            for _ in play(environment, driver, range(seed, seed + settings.episodes), bag):
+                pass
+        tested = list(play(environment, driver, fresh(settings.tests)))
+        return result | {**summary(tested), "returns": [episode.returned for episode in tested]}
+
+    rounds = []
+    for told in Study(folder).rounds(settings.rounds, work):
+        rounds.append(told)
         word = "" if "better" not in told else f", {'' if told['better'] else 'not '}called better before"
         tell(
-            f"round {number}: return {told['return']:.4g}, {told['steps']:.4g} steps, "
+            f"round {told['round']}: return {told['return']:.4g}, {told['steps']:.4g} steps, "
             f"done {told['terminated']:.0%}{word}"
         )
     return rounds
