@@ -46,12 +46,11 @@ class WaterFillingSimulation:
 
     Args:
         task: Water Filling task to simulate.
-        options: Set of
-        options: "published" (7 x 7: NavToFill or NavTo and one-step moves), "thesis" (Table 5.1: the vehicle also fills
-            and navigates separately) or "actions" (one step each: moves and, for the vehicle, Fill).
-        sight: Observation besides the shared levels and
-        ages: "features" (position, jars in reach) or "image" (the room from above: red the robot itself, green the
-            other, blue the jars, as bright as full when in reach, half bright when not).
+        options: Set of options: "published" (7 x 7: NavToFill or NavTo and one-step moves), "thesis" (Table 5.1: the
+            vehicle also fills and navigates separately) or "actions" (one step each: moves and, for the vehicle, Fill).
+        sight: Observation besides the shared levels and ages: "features" (position, jars in reach) or "image" (the room
+            from above: red the robot itself, green the other, blue the jars, as bright as full when in reach, half
+            bright when not).
     """
 
     observes_while_running = True
