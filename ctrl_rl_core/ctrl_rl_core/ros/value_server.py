@@ -15,11 +15,13 @@ from typing import ClassVar
 import numpy as np
 from nav_msgs.msg import OccupancyGrid, Odometry
 from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_core.processes.background import Job, start_job
 from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, nanoseconds, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros.running import interruptible
@@ -27,6 +29,7 @@ from ctrl_rl_core.ros.value_messages import answer, grid_message, slice_message
 from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader, read_odometry
 from ctrl_rl_core.sensing.odometry_health import OdometryHealth
 from ctrl_rl_core.values.value_function import ValueFunction
+from ctrl_rl_core.values.value_grid import ValueGrid
 from ctrl_rl_msgs.msg import StateValue
 from ctrl_rl_msgs.msg import ValueGrid as ValueGridMsg
 from ctrl_rl_msgs.srv import QueryValues
@@ -41,6 +44,8 @@ SERVER_PARAMETERS = (
 _EVERY_MESSAGE = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort matches every publisher of odometry; the depth outlasts a burst."""
 _STALE_S = 2.0
+_LOOK_S = 0.05
+"""Time between two looks whether the values of grids are there [s]."""
 Valued = Callable[[Odometry, NDArray[np.float64], float], None]
 
 
@@ -62,6 +67,8 @@ class ValueServer(SuiteNode):
         self._fault, self._odometry_health = "", OdometryHealth()
         self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
+        self._sampling: Job[tuple[ValueGrid, ...]] = Job()
+        self._look = self.create_timer(_LOOK_S, self._publish_sampled, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
         self._load(self.settings["grid"])
         self.create_subscription(Odometry, "odom", self._on_odometry, _EVERY_MESSAGE)
@@ -113,10 +120,7 @@ class ValueServer(SuiteNode):
         with interruptible():
             prepared = self._prepared(file)
         self._serve(*prepared)
-        counts = " + ".join(str(grid.values.size) for grid in self._function.grids)
-        self.get_logger().info(
-            f"{Path(file).name} ({self._function.digest[:12]}): task '{self._function.task}', {counts} points"
-        )
+        self.get_logger().info(f"{Path(file).name} ({self._function.digest[:12]}): task '{self._function.task}'")
 
     def _prepared(self, file: str) -> tuple[ValueFunction, OdometryReader, Valued, OccupancyGrid]:
         """Return all that serving a file takes."""
@@ -131,12 +135,25 @@ class ValueServer(SuiteNode):
     def _serve(self, function: ValueFunction, reader: OdometryReader, valued: Valued, slice_: OccupancyGrid) -> None:
         """Replace the present function after all checks have passed."""
         self._function, self._reader, self._valued = function, reader, valued
-        self._publish_grids()
         self._slice.publish(slice_)
+        # A network has none: its values at millions of nodes take half a minute, and odometry must not wait for them.
+        self._sampling = start_job(lambda _: function.grids)
+        self._look.reset()
 
-    def _publish_grids(self) -> None:
+    def _publish_sampled(self) -> None:
+        """Publish the grids once their values are there."""
+        if not self._sampling.finished.is_set():
+            return
+        self._look.cancel()
+        if self._sampling.error is not None:
+            raise self._sampling.error
+        grids = self._sampling.result or ()
+        self._publish_grids(grids)
+        self.get_logger().info(f"~/grid: {' + '.join(str(grid.values.size) for grid in grids)} points")
+
+    def _publish_grids(self, grids: tuple[ValueGrid, ...]) -> None:
         """Publish a single grid on ~/grid, each of several on ~/grid_<its states>."""
-        stamp, grids = self.get_clock().now().to_msg(), self._function.grids
+        stamp = self.get_clock().now().to_msg()
         names = [
             "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes))) for grid in grids
         ]

@@ -68,5 +68,4 @@ def plane_of(function: ValueFunction) -> Plane:
     indices = position_indices(names)
     if len(indices) < 2:
         raise ValueFunctionError(f"the states {', '.join(names)} have no plane of positions to show")
-    axes = {axis.name: axis for grid in function.grids for axis in grid.axes}
-    return Plane(names, *(axes[names[index]] for index in indices))
+    return Plane(names, *(function.axes[index] for index in indices))

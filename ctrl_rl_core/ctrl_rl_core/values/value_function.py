@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.tasks.task import NavigationTask, task_digest
+from ctrl_rl_core.values.grid_axis import Axis
 from ctrl_rl_core.values.value_grid import ValueGrid
 
 ROWS = 8192
@@ -42,6 +43,10 @@ class ValueFunction(Protocol):
     @property
     def state_names(self) -> tuple[str, ...]:
         """Components of the state, in order."""
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Axes of the state's components, in order."""
 
     @property
     def grids(self) -> tuple[ValueGrid, ...]:
