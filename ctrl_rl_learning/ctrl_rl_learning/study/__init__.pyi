@@ -37,4 +37,5 @@ from .run import Tell as Tell
 from .run import find_method as find_method
 from .run_folder import check_same as check_same
 from .run_folder import result_file as result_file
+from .study import Study as Study
 from .trainer import train as train

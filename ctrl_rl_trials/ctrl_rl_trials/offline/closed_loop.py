@@ -6,7 +6,6 @@ policy with some noise. A run goes on where it was cut off: what a finished step
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,6 @@ from shutil import rmtree
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io import read_json, with_digest
 from ctrl_rl_learning.offline import (
     TIME_TO_REACH,
     LearningSettings,
@@ -31,8 +29,9 @@ from ctrl_rl_learning.offline import (
     load_transitions,
     load_values,
 )
+from ctrl_rl_learning.study import Study
 
-from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_policy
+from ctrl_rl_core import Actor, NavigationTask, ValueFunction, load_policy
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
 DISCOUNT = 0.99
@@ -86,31 +85,24 @@ def run_loop(
     """
     function = load_value(find_time_to_reach(task, values_folder))
     values = load_values(TIME_TO_REACH, task, values_folder, clearance_of(task, settings.clearance))
-    evaluator = RewardEvaluator(task, function)
-    bags: list[Path] = []
-    rounds: list[dict[str, Any]] = []
-    for number in range(settings.rounds + 1):
-        here = folder / f"round_{number}"
-        here.mkdir(parents=True, exist_ok=True)
-        done = here / "result.json"
-        labelled = here / "labelled"
-        if not done.exists():
-            result: dict[str, Any] = {"round": number}
-            driver, tester = _drivers(task, here, bags, settings, values, number, result)
-            seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
-            _record(task, driver, settings, here, labelled, seed, lambda: (function, evaluator))
-            tested = drive(
-                task, tester, settings.tests, _TEST_SEED + _SEEDS_APART * settings.seed, engine=settings.engine
-            )
-            result |= {
-                "success": tested.success.tolist(),
-                "returns": tested.returns(DISCOUNT).tolist(),
-                "outcomes": np.bincount(tested.outcomes, minlength=5).tolist(),
-            }
-            atomic_write(done, json.dumps(with_digest(result)))
-        bags.append(labelled)
-        rounds.append(read_json(done))
-        tell(f"round {number}: success {np.mean(rounds[-1]['success']):.2f}{_told(rounds[-1])}")
+    bags = [folder / f"round_{number}" / "labelled" for number in range(settings.rounds + 1)]
+
+    def play(number: int, here: Path) -> dict[str, Any]:
+        result: dict[str, Any] = {"round": number}
+        driver, tester = _drivers(task, here, bags[:number], settings, values, number, result)
+        seed = _SEEDS_APART * (settings.seed + 1) + number * settings.episodes
+        _record(task, driver, settings, here, seed, RewardEvaluator(task, function), function)
+        tested = drive(task, tester, settings.tests, _TEST_SEED + _SEEDS_APART * settings.seed, engine=settings.engine)
+        return result | {
+            "success": tested.success.tolist(),
+            "returns": tested.returns(DISCOUNT).tolist(),
+            "outcomes": np.bincount(tested.outcomes, minlength=5).tolist(),
+        }
+
+    rounds = []
+    for found in Study(folder).rounds(settings.rounds, play):
+        tell(f"round {found['round']}: success {np.mean(found['success']):.2f}{_told(found)}")
+        rounds.append(found)
     return rounds
 
 
@@ -156,17 +148,15 @@ def _record(
     driver: RandomDriver,
     settings: LoopSettings,
     here: Path,
-    labelled: Path,
     seed: int,
-    reward: Callable[[], tuple[Any, Any]],
+    evaluator: RewardEvaluator,
+    function: ValueFunction,
 ) -> None:
     """Record drives and relabel them."""
-    bag = here / "bag"
+    bag, labelled = here / "bag", here / "labelled"
     for left in (bag, labelled):  # of a call that was cut off
-        if left.exists():
-            rmtree(left)
+        rmtree(left, ignore_errors=True)
     drive(task, driver, settings.episodes, seed, bag, settings.engine)
-    function, evaluator = reward()
     relabel(bag, labelled, function, evaluator)
 
 

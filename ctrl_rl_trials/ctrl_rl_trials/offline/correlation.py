@@ -5,7 +5,6 @@ The policies learn from the bags of one seed. Each seed has bags of its own, fro
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ from shutil import rmtree
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.io import read_json, with_digest
 from ctrl_rl_learning.offline import (
     OC_VALUE,
     TIME_TO_REACH,
@@ -30,9 +28,10 @@ from ctrl_rl_learning.offline import (
     load_transitions,
     load_values,
 )
+from ctrl_rl_learning.study import Study
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_policy
+from ctrl_rl_core import Actor, NavigationTask, load_policy
 from ctrl_rl_trials.offline.closed_loop import DISCOUNT
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
@@ -196,17 +195,19 @@ def _drive(
     tell: Callable[[str], None],
 ) -> dict[str, Any]:
     """Learn a policy and drive it."""
-    file, result = folder / f"{candidate.name}.safetensors", folder / f"{candidate.name}.json"
-    if not result.exists():
+    file = folder / f"{candidate.name}.safetensors"
+
+    def work() -> dict[str, float]:
         if not file.exists():
             how = LearningSettings(candidate.method, updates=candidate.updates, temperature=candidate.temperature)
             values = None if candidate.value is None else load_values(candidate.value, task, folder / "values")
             learn(transitions, task, how, values).save(file)
         drives = drive(task, NoisyPolicy(load_policy(file)), settings.tests, _TEST_SEED, engine=settings.engine)
         told = {"return": float(drives.returns(DISCOUNT).mean()), "success": float(drives.success.mean())}
-        atomic_write(result, json.dumps(with_digest(told)))
         tell(f"{candidate.name}: driven, return {told['return']:.0f}, success {told['success']:.2f}")
-    found: dict[str, Any] = read_json(result)
+        return told
+
+    found = Study(folder).once(candidate.name, work)
     return {key: found[key] for key in ("return", "success")}
 
 
@@ -221,8 +222,8 @@ def _predict(
     tell: Callable[[str], None],
 ) -> dict[str, Any]:
     """Predict a policy's return from a bag."""
-    result = folder / f"{candidate.name}-from-{seed}.json"
-    if not result.exists():
+
+    def work() -> dict[str, Any]:
         actor = Actor.load(folder / f"{candidate.name}.safetensors")
         report = evaluate_offline(
             transitions,
@@ -244,7 +245,8 @@ def _predict(
             "driver": report.driver.mean,
             **({} if report.model is None else {"model": report.model.mean}),
         }
-        atomic_write(result, json.dumps(with_digest(told)))
         tell(f"{candidate.name}, seed {seed}: predicted return {told['recommended']:.0f}")
-    found: dict[str, Any] = read_json(result)
+        return told
+
+    found = Study(folder).once(f"{candidate.name}-from-{seed}", work)
     return {key: found[key] for key in (*_TOLD, *sorted(ESTIMATES & found.keys()))}

@@ -11,8 +11,8 @@ from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.io import read_json
 from ctrl_rl_core.processes import start_child
+from ctrl_rl_learning.study import Study
 from ctrl_rl_safety.trials import CAR
 
 from ctrl_rl_core import task_file
@@ -50,14 +50,9 @@ class Stage:
         Raises:
             TrialError: One of the processes failed.
         """
-        result = self.folder / "result.json"
-        if not result.exists():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._drive()
-        found: Mapping[str, Any] = read_json(result)
-        return found
+        return Study(self.folder).once("result", self._drive)
 
-    def _drive(self) -> None:
+    def _drive(self) -> Mapping[str, Any]:
         task, robot = self.folder / f"{self.task}.yaml", self.folder / "robot.yaml"
         task.write_text(yaml.safe_dump(_with_whole_scan(self.task), sort_keys=False))
         replace(CAR, delay=self.delay).save(robot)
@@ -77,6 +72,7 @@ class Stage:
             code = start_child(command).wait()
         if code:
             raise TrialError(f"fine_tune ended with exit code {code}; logs of its robot are in {self.folder}")
+        return {}  # fine_tune has written the result
 
 
 def _with_whole_scan(task: str) -> dict[str, Any]:
