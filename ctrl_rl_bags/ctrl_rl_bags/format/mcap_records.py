@@ -18,7 +18,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
 from ctrl_rl_bags.format.checks import DamagedError
 
@@ -31,10 +31,13 @@ _CHUNK = struct.Struct("<QQQI")
 READ_AT_ONCE = 1 << 20
 """Block size for reading records that are only skipped or checked [bytes]."""
 _LONGEST_COMPRESSION = 32
-_KINDS: dict[int, type[Schema] | type[Channel] | type[Metadata]] = {
+Parsed = Schema | Channel | Metadata | MetadataIndex | Statistics
+_KINDS: dict[int, type[Parsed]] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.STATISTICS: Statistics,
 }
 _ZSTD = zstandard.ZstdDecompressor()
 _MIB = 1 << 20
@@ -86,8 +89,8 @@ def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
     return data
 
 
-def parse(opcode: int, content: bytes) -> Schema | Channel | Metadata | None:
-    """Return a schema, a channel or a metadata record; None for any other.
+def parse(opcode: int, content: bytes) -> Parsed | None:
+    """Parse a record; None for kinds that are not needed.
 
     Raises:
         DamagedError: The content cannot be parsed.

@@ -68,6 +68,7 @@ class BagWriter:
         self._first_time: int | None = None
         self._flush_due = time.monotonic() + flush_s
         self._syncing: Future[None] | None = None
+        self._synced: object = None
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -184,10 +185,12 @@ class BagWriter:
         self._flush_due = time.monotonic() + self._flush_s
         try:
             self._file.flush()
-            if self._syncing is None or self._syncing.done():
-                if self._syncing is not None:
-                    self._syncing.result()
-                self._syncing = self._disk.submit(os.fsync, self._file.fileno())
+            written = self._file, self.bytes_on_disk
+            if self._syncing is not None and self._syncing.done():
+                self._syncing.result()
+                self._syncing = None
+            if self._syncing is None and written != self._synced:
+                self._syncing, self._synced = self._disk.submit(os.fsync, self._file.fileno()), written
             if self._min_free_bytes:
                 disk = os.statvfs(self.folder)
                 free = disk.f_bavail * disk.f_frsize

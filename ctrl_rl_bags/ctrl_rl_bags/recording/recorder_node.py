@@ -13,7 +13,7 @@ from ctrl_rl_core.ros import Status, ok, warn
 from rclpy.clock import Clock, ClockType
 
 from ctrl_rl_bags.format.checks import BagError
-from ctrl_rl_bags.format.writer import FLUSH_S, BagWriter
+from ctrl_rl_bags.format.writer import BagWriter
 from ctrl_rl_bags.recording.recorder import ParameterCollector, TopicRecorder
 from ctrl_rl_bags.recording.write_queue import BagQueue
 from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
@@ -62,9 +62,8 @@ class RecorderNode(SuiteNode):
             self._queue.set_custom_data(f"digest.{name}", digest)
         self._topics = TopicRecorder(self, self._queue, self._select, self.settings["queue_depth"])
         self._parameter_collector = ParameterCollector(self, self._queue)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DISCOVERY_S, self._discover, clock=steady)
-        self.create_timer(FLUSH_S / 2, self._queue.check, clock=steady)
+        # One timer for all: each time the executor wakes costs as much as what it does then.
+        self.create_timer(_DISCOVERY_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._discover()
         self.get_logger().info(f"recording to {self._writer.folder}")
 
@@ -108,6 +107,7 @@ class RecorderNode(SuiteNode):
         self.get_logger().warning(f"{name}: messages are dropped, as they come faster than the disk takes them")
 
     def _discover(self) -> None:
+        self._queue.check()
         self._topics.discover()
         self._parameter_collector.discover()
 
