@@ -68,6 +68,7 @@ LEARNING = {
     "sklearn",
     "stable_baselines3",
     "torch",
+    "warp",
 }
 """What only learning, solving for data and figures import in a method package; no robot has it."""
 ROS = re.compile(r"rclpy|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)|rpyutils|rosidl\w*")

@@ -63,7 +63,7 @@ def _import_warp(device: str) -> Any:
         import warp
     except ImportError:
         raise TimeToReachError(
-            f"device '{device}' needs NVIDIA Warp, which is not installed: pip install -r requirements/gpu.txt"
+            f"device '{device}' needs NVIDIA Warp, which is not installed: pip install warp-lang"
         ) from None
     warp.config.log_level = warp.LOG_ERROR  # no banner between a command's lines
     warp.init()

@@ -30,7 +30,7 @@ class WarpSweeper:
         device: Name of Warp's device, such as "cuda:0" or "cpu".
         grid: Axes in the layout's order.
         table: Steps of the slabs.
-        near: What target and obstacles make of the nodes.
+        near: Nodes near target and obstacles, and outcomes of their steps.
     """
 
     def __init__(self, device: str, grid: Grid, table: StepTable, near: NearNodes) -> None:
