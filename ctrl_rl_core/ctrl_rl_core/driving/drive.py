@@ -71,10 +71,10 @@ class Step(NamedTuple, Generic[Seen]):
     """One state of an episode, and how the robot came there.
 
     Attributes:
-        sensors: What the robot senses there.
+        sensors: Readings of the robot in that state, or the observation of an environment.
         command: Command that was held until then (2,); None at the start.
         reward: Reward for it.
-        info: What else the robot says.
+        info: Further facts of the state, as Gymnasium's `info`.
         terminated: Whether the episode ended there, other than by being cut.
     """
 
@@ -90,9 +90,9 @@ class Episode(Generic[Seen]):
     """One episode.
 
     Attributes:
-        seed: Its seed.
+        seed: Seed of its start and of all noise.
         steps: Number of commands.
-        total: Undiscounted return.
+        total: Sum of its rewards, the undiscounted return.
         changed: Part of the commands that the filter changed.
         info: The robot's last word, with `outcome` where it knows one.
         trace: All states from the start on; empty unless they were to be kept.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from typing import Any
 
-from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
+from ctrl_rl_core.driving.command_watchdog import BASE_FRAME, CommandWatchdog
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.running import run_node
 from ctrl_rl_msgs.msg import RotorThrusts
@@ -19,7 +21,6 @@ class ThrustWatchdogNode(CommandWatchdog):
     that a robot on the ground stays there.
     """
 
-    OUTPUT, REST = "rotor_thrusts", "rest thrust"
     PARAMETERS = (
         Parameter(
             "timeout", 0.25, "Age of the last thrusts after which rest thrusts are sent, in wall time [s].", 0.02, 60.0
@@ -34,23 +35,25 @@ class ThrustWatchdogNode(CommandWatchdog):
             3600.0,
         ),
         Parameter("largest_thrust", 15.0, "A stronger thrust is refused, and rest thrusts sent instead [N].", 0.1, 1e4),
-        CommandWatchdog.BASE_FRAME,
+        BASE_FRAME,
     )
 
     def __init__(self) -> None:
-        super().__init__("thrust_watchdog")
+        super().__init__("thrust_watchdog", ThrustChannel)
 
-    def message_type(self) -> type[RotorThrusts]:
-        """Return the message type of both topics."""
-        return RotorThrusts
 
-    def rhythm(self) -> tuple[float, float]:
-        """Return the rate of rest thrusts [Hz] while no commands come; they are sent for ever."""
-        return self.settings["rest_rate"], 0.0
+class ThrustChannel:
+    """Thrusts of two rotor pairs, and those that carry the weight while none come; see `CommandChannel`."""
 
-    def refuse(self, message: RotorThrusts) -> str:
-        """Return why thrusts may not go to the robot, empty where they may."""
-        limit = self.settings["largest_thrust"]
+    topic, rest, alone, message = "rotor_thrusts", "rest thrust", False, RotorThrusts
+    hint = ": publish ctrl_rl_msgs/msg/RotorThrusts"
+    repeat_for = 0.0
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self.rate, self._settings = settings["rest_rate"], settings
+
+    def refuse(self, message: RotorThrusts) -> str:  # noqa: D102 - see CommandChannel
+        limit = self._settings["largest_thrust"]
         for name, value in (("t1", message.t1), ("t2", message.t2)):
             if not 0.0 <= value <= limit:  # NaN, too
                 return f"{name} is {value:.4g} N, not between 0 and largest_thrust {limit:g}"
@@ -60,17 +63,16 @@ class ThrustWatchdogNode(CommandWatchdog):
         """Write the thrusts of a robot without a pilot; there are none to send before its first command."""
         if silent_for is None:
             return False
-        message.t1 = message.t2 = 0.0 if self._is_over(silent_for) else self.settings["rest_thrust"]
+        message.t1 = message.t2 = 0.0 if self._is_over(silent_for) else self._settings["rest_thrust"]
         return True
 
-    def consequence(self, silent_for: float) -> str:
-        """Return what the robot does without commands."""
+    def consequence(self, silent_for: float) -> str:  # noqa: D102 - see CommandChannel
         if self._is_over(silent_for):
-            return f"the rotors stand, since hover_for {self.settings['hover_for']:g} s are over"
-        return f"each rotor pair gives {self.settings['rest_thrust']:g} N, which hold neither attitude nor place"
+            return f"the rotors stand, since hover_for {self._settings['hover_for']:g} s are over"
+        return f"each rotor pair gives {self._settings['rest_thrust']:g} N, which hold neither attitude nor place"
 
     def _is_over(self, silent_for: float) -> bool:
-        return 0.0 < self.settings["hover_for"] <= silent_for
+        return 0.0 < self._settings["hover_for"] <= silent_for
 
 
 def main() -> int:

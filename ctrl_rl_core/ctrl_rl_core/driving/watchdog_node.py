@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
 
-from ctrl_rl_core.driving.command_output import Rivals
-from ctrl_rl_core.driving.command_watchdog import CommandWatchdog
+from ctrl_rl_core.driving.command_watchdog import BASE_FRAME, CommandWatchdog
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.ros.running import run_node
 
@@ -22,7 +23,6 @@ class WatchdogNode(CommandWatchdog):
     Subscribes to cmd_vel_raw, publishes cmd_vel: remap the driver's cmd_vel to cmd_vel_raw.
     """
 
-    OUTPUT, REST = "cmd_vel", "zero"
     PARAMETERS = (
         Parameter("timeout", 0.5, "Age of the last command that stops the robot, in wall time [s].", 0.05, 60.0),
         Parameter("zero_rate", 10.0, "Zeros per second while no commands come [Hz].", 1.0, 100.0),
@@ -41,40 +41,33 @@ class WatchdogNode(CommandWatchdog):
             "largest_turn_rate", "turn_rate", "A faster turn is refused, and zero sent instead [rad/s].", 0.01, 100.0
         ),
         Parameter("enable_stamped_cmd_vel", True, "Both topics are TwistStamped (Jazzy), else Twist (Humble)."),
-        CommandWatchdog.BASE_FRAME,
+        BASE_FRAME,
     )
 
     def __init__(self) -> None:
-        super().__init__("watchdog")
+        super().__init__("watchdog", VelocityChannel)
 
-    def message_type(self) -> type[TwistStamped | Twist]:
-        """Return the message type of both topics."""
-        return TwistStamped if self.settings["enable_stamped_cmd_vel"] else Twist
 
-    def listen_for_rivals(self) -> Rivals:
-        """Return who else commands the robot: it would be driven round whatever stands before this node."""
-        return Rivals(self, self.message_type(), self.OUTPUT, self.send_rest)
+class VelocityChannel:
+    """Speeds and turn rates, and zeros while none come; see `CommandChannel`."""
 
-    def rhythm(self) -> tuple[float, float]:
-        """Return the rate of zeros [Hz] while no commands come, and for how long they are sent [s]; 0 for ever."""
-        return self.settings["zero_rate"], self.settings["repeat_for"]
+    topic, rest, alone = "cmd_vel", "zero", True
+    hint = ": set enable_stamped_cmd_vel to match it"
 
-    def refuse(self, message: TwistStamped | Twist) -> str:
-        """Return why a command may not go to the robot, empty where it may."""
-        twist = message.twist if isinstance(message, TwistStamped) else message
-        return refusal(twist, self.settings["largest_speed"], self.settings["largest_turn_rate"])
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self.message: type[TwistStamped | Twist] = TwistStamped if settings["enable_stamped_cmd_vel"] else Twist
+        self.rate, self.repeat_for = settings["zero_rate"], settings["repeat_for"]
+        self._largest = settings["largest_speed"], settings["largest_turn_rate"]
 
-    def fill_rest(self, message: TwistStamped | Twist, silent_for: float | None) -> bool:  # noqa: ARG002
+    def refuse(self, message: TwistStamped | Twist) -> str:  # noqa: D102 - see CommandChannel
+        return refusal(message.twist if isinstance(message, TwistStamped) else message, *self._largest)
+
+    def fill_rest(self, _message: TwistStamped | Twist, _silent_for: float | None) -> bool:
         """Leave the message at zero; it is always sent, since a robot may hold the command of a dead watchdog."""
         return True
 
-    def consequence(self, silent_for: float) -> str:  # noqa: ARG002 - it is the same after any time
-        """Return what the robot does without commands."""
+    def consequence(self, _silent_for: float) -> str:  # noqa: D102 - it is the same after any time
         return "the robot stands"
-
-    def wrong_type_hint(self) -> str:
-        """Return what to do where the driver publishes another type of message."""
-        return ": set enable_stamped_cmd_vel to match it"
 
 
 def refusal(twist: Twist, largest_speed: float, largest_turn_rate: float) -> str:

@@ -29,7 +29,7 @@ class NavigatorDriver:
         reach: Distance from the robot up to which echoes matter [m].
 
     Attributes:
-        navigator: The navigator.
+        navigator: Navigator that decides.
         decision: Its last decision.
     """
 
