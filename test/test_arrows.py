@@ -181,6 +181,12 @@ def test_packages_import_only_what_lies_before_them(package: str) -> None:
         assert ours <= allowed, f"{file.relative_to(ROOT)} imports {ours - allowed}"
 
 
+@pytest.mark.parametrize("room", ["study", "torch", "sb3"])
+def test_what_all_learners_share_knows_no_method(room: str) -> None:
+    for file in sorted((ROOT / "ctrl_rl_learning" / "ctrl_rl_learning" / room).rglob("*.py")):
+        assert not imports_of(file) & set(METHODS), f"{file.relative_to(ROOT)}: what it needs is handed to it"
+
+
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_package_xml_names_every_ros_package_that_is_imported(package: str) -> None:
     text = (ROOT / package / "package.xml").read_text(encoding="utf-8")

@@ -1,1 +1,5 @@
 """Learning in one house: what every method that trains policies shares."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

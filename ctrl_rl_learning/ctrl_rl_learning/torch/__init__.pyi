@@ -3,6 +3,14 @@ from .array_file import save_arrays as save_arrays
 from .learner_state import Arrays as Arrays
 from .learner_state import restore_state as restore_state
 from .learner_state import state_arrays as state_arrays
+from .networks import ActorNetwork as ActorNetwork
+from .networks import Critics as Critics
+from .networks import linear_arrays as linear_arrays
+from .networks import make_mlp as make_mlp
+from .networks import new_actor as new_actor
+from .networks import widen as widen
+from .optimization import anneal_lr as anneal_lr
 from .optimization import gradient_step as gradient_step
 from .optimization import polyak_update as polyak_update
 from .replay_buffer import ReplayBuffer as ReplayBuffer
+from .td3 import Td3 as Td3

@@ -36,8 +36,7 @@ def read_drives(
     """Read bags of a task, each a folder that rosbag2 or the suite's recorder wrote.
 
     >>> import ctrl_rl, tempfile, pathlib
-    >>> from ctrl_rl_learning.offline.driving.driving import drive                        # records without ROS
-    >>> from ctrl_rl_learning.offline.driving.drivers import ScriptedDriver
+    >>> from ctrl_rl_learning.offline import ScriptedDriver, drive      # records without ROS
     >>> task = ctrl_rl.load_task("car_navigation")
     >>> bag = pathlib.Path(tempfile.mkdtemp()) / "bag"
     >>> _ = drive(task, ScriptedDriver(task), episodes=2, seed=0, bag=bag)

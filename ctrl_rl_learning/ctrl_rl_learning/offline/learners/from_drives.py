@@ -24,8 +24,7 @@ def learn_from_drives(
     """Learn a policy from recorded drives alone; its `save` writes a file for the node `policy`.
 
     >>> import ctrl_rl, tempfile, pathlib
-    >>> from ctrl_rl_learning.offline.driving.driving import drive                        # records without ROS
-    >>> from ctrl_rl_learning.offline.driving.drivers import ScriptedDriver
+    >>> from ctrl_rl_learning.offline import ScriptedDriver, drive      # records without ROS
     >>> task = ctrl_rl.load_task("car_navigation")
     >>> bag = pathlib.Path(tempfile.mkdtemp()) / "bag"
     >>> _ = drive(task, ScriptedDriver(task), episodes=3, seed=0, bag=bag)

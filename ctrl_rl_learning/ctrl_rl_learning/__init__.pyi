@@ -1,0 +1,15 @@
+from .dagger import TaughtRun as TaughtRun
+from .errors import LearningError as LearningError
+from .offline import learn_from_drives as learn_from_drives
+from .offline import read_drives as read_drives
+from .on_robot import FineTuner as FineTuner
+from .on_robot import RobotEnv as RobotEnv
+from .sb3 import FleetEnvironments as FleetEnvironments
+from .sb3 import SimulatedRun as SimulatedRun
+from .sb3 import make_algorithm as make_algorithm
+from .sb3 import make_environment as make_environment
+from .study import Curves as Curves
+from .study import Run as Run
+from .study import RunOptions as RunOptions
+from .study import Study as Study
+from .study import run_experiments as run_experiments

@@ -1,0 +1,3 @@
+from .errors import TrialError as TrialError
+from .ladder import LADDER as LADDER
+from .ladder import load_ladder_task as load_ladder_task
