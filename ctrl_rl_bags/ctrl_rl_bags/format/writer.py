@@ -68,7 +68,7 @@ class BagWriter:
         self._first_time: int | None = None
         self._flush_due = time.monotonic() + flush_s
         self._syncing: Future[None] | None = None
-        self._synced: object = None
+        self._synced = 0
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -185,7 +185,7 @@ class BagWriter:
         self._flush_due = time.monotonic() + self._flush_s
         try:
             self._file.flush()
-            written = self._file, self.bytes_on_disk
+            written = self.bytes_on_disk
             if self._syncing is not None and self._syncing.done():
                 self._syncing.result()
                 self._syncing = None
