@@ -14,7 +14,7 @@ import yaml
 from commands import command, start
 from ctrl_rl_core.ros import initialise, to_stamp
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.values import _solvable
+from ctrl_rl_learning.offline.data.values import solvable
 from ctrl_rl_learning.on_robot.environment.rewards import StepReward
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
 from ctrl_rl_learning.on_robot.learning.policy import read_policy
@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     content["episode"]["steps"] = 25
     (folder / "car_navigation.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     task = load_navigation_task(str(folder / "car_navigation.yaml"))
-    problem = problem_from_task(_solvable(task), counts=(31, 31, 18), inflation=task.robot.radius)
+    problem = problem_from_task(solvable(task), counts=(31, 31, 18), inflation=task.robot.radius)
     solve(problem).grid.save(folder / f"car_navigation-{task_digest(task)[:12]}.safetensors")
     CAR.save(folder / "car.yaml")
     return folder
@@ -162,7 +162,7 @@ def test_stepped_steps_are_whole_the_operator_goes_first_and_episodes_end(stand:
     node, now = it.ros.node, it.robot.now()
     time.sleep(node.settings["wall_timeout"] + 0.1)  # held up: all inputs are too old, and the clock stands
     assert "no recent" in node.robot.input_fault()
-    assert it.robot.read().age < 0.11
+    assert it.robot.read().sensors.age < 0.11
     assert it.robot.now() == pytest.approx(now + 0.1)
     now = it.robot.now()
     kept = node.reading(now).sensors

@@ -12,18 +12,16 @@ from ctrl_rl_core import Outcome, Sensors
 Array = NDArray[np.float64]
 
 
-class Reading(NamedTuple):
+class StepEnd(NamedTuple):
     """The robot at the end of a step.
 
     Attributes:
         sensors: Last scan, odometry, pose and goal.
-        age: Age of the scan by its stamp [s].
         outcome: Outcome of the episode by the simulator or the operator; None where nobody says, and the pose decides.
         late_scans: Number of scans of the step that were too old on arrival, or out of order.
     """
 
     sensors: Sensors
-    age: float
     outcome: Outcome | None
     late_scans: int
 
@@ -48,7 +46,7 @@ class Robot(Protocol):
     def now(self) -> float:
         """Return the time on the robot's clock [s]."""
 
-    def begin(self, seed: int) -> Reading:
+    def begin(self, seed: int) -> StepEnd:
         """Bring the robot to a start and return its reading; a simulator draws the start from the seed.
 
         Raises:
@@ -62,7 +60,7 @@ class Robot(Protocol):
             LearningError: The robot, its simulator or its safety filter does not answer.
         """
 
-    def read(self) -> Reading:
+    def read(self) -> StepEnd:
         """Return what the robot senses.
 
         Raises:

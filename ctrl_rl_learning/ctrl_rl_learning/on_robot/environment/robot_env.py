@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import NavigationTask, Outcome, PolicyManifest
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.rewards import StateReader, StepReward
-from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading, Robot
+from ctrl_rl_learning.on_robot.environment.robot import Driven, Robot, StepEnd
 from ctrl_rl_learning.on_robot.environment.step_clock import StepClock, StepTiming
 
 Vector = NDArray[np.float32]
@@ -83,7 +83,7 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         self._steps = 0
         self._reward.begin(self._state_of(reading.sensors))
         self._clock.begin(self._robot.now())
-        return self._observe(reading.sensors), {"age": reading.age, "outcome": Outcome.RUNNING.name}
+        return self._observe(reading.sensors), {"age": reading.sensors.age, "outcome": Outcome.RUNNING.name}
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Drive by an action (2,) until the step is over.
@@ -128,7 +128,7 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
             for side, place in zip(arena.bounds, state[:2], strict=False)
         )
 
-    def _info(self, driven: Driven, timing: StepTiming, reading: Reading) -> dict[str, Any]:
+    def _info(self, driven: Driven, timing: StepTiming, reading: StepEnd) -> dict[str, Any]:
         span = self._high - self._low
         return {
             "action": (2.0 * (driven.command - self._low) / span - 1.0).clip(-1.0, 1.0).astype(np.float32),
@@ -137,6 +137,6 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
             "duration": timing.duration,
             "late": timing.late,
             "missed": timing.missed,
-            "age": reading.age,
+            "age": reading.sensors.age,
             "late_scans": reading.late_scans,
         }

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Actor
-from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
+from ctrl_rl_learning.torch.checkpoints import restore_state, state_arrays
 from ctrl_rl_learning.torch.networks import ActorNetwork, Critics
 from ctrl_rl_learning.torch.optimization import gradient_step
 from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer

@@ -17,7 +17,7 @@ from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.robot_env import RobotEnv
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner
 from ctrl_rl_learning.study.curves import Curves
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
+from ctrl_rl_learning.torch.checkpoints import load_arrays, save_arrays
 
 Vector = NDArray[np.float32]
 REWARD_SCALE = 0.01

@@ -33,7 +33,7 @@ from ctrl_rl_core import (
 )
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator
-from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading
+from ctrl_rl_learning.on_robot.environment.robot import Driven, StepEnd
 from ctrl_rl_learning.on_robot.nodes.tally import Tally
 from ctrl_rl_msgs.msg import EpisodeStatus, SafetyStatus
 
@@ -142,7 +142,7 @@ class LearningNode(RobotNode):
         self.episode, self.ready = episode, False
         self.outcome = None if episode is None else Outcome.RUNNING
 
-    def reading(self, now: float) -> Reading:
+    def reading(self, now: float) -> StepEnd:
         """Return what the robot senses; the age of the scan is that at a time of the clock of its stamps [s].
 
         Raises:
@@ -161,8 +161,8 @@ class LearningNode(RobotNode):
                 goal = self._poses.place(*self._goal)
         except CtrlRlError as error:
             raise LearningError(str(error)) from None
-        sensors = Sensors(ranges, scan, self._odometry, pose, goal, self._last)
-        return Reading(sensors, max(now - stamp, 0.0), self.outcome, self._tally.late_scans)
+        sensors = Sensors(ranges, scan, self._odometry, pose, goal, self._last, now, max(now - stamp, 0.0))
+        return StepEnd(sensors, self.outcome, self._tally.late_scans)
 
     @property
     def scans(self) -> int:

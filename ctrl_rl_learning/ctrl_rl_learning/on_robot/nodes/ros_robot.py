@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.on_robot.environment.robot import Driven, Reading
+from ctrl_rl_learning.on_robot.environment.robot import Driven, StepEnd
 from ctrl_rl_learning.on_robot.nodes.robot_node import NAME, RAW, LearningNode
 from ctrl_rl_msgs.srv import ResetWorld
 
@@ -129,7 +129,7 @@ class RosRobot:
         """Return steady time, or the simulator's [s]."""
         return self._ros.node.robot.now()
 
-    def begin(self, seed: int) -> Reading:
+    def begin(self, seed: int) -> StepEnd:
         """Bring the robot to a start; it stands until the filter has answered and all inputs are fresh."""
         node = self._ros.node
         self._ros.until(
@@ -175,7 +175,7 @@ class RosRobot:
             if wall - heard > self._ros.patience:
                 raise LearningError("the safety filter is silent: nothing is driven without it")
 
-    def read(self) -> Reading:
+    def read(self) -> StepEnd:
         """Return what the robot senses, as soon as all inputs are usable; that time is a part of the next step."""
         self.await_inputs()
         return self._ros.node.reading(self.stamp_now())
