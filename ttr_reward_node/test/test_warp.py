@@ -47,7 +47,25 @@ def _pendulums(counts):
     return TimeToReachProblem(system, axes, Region({name: Interval(-0.4, 0.4) for name in names}))
 
 
+def _integrators(axes):
+    """Return x' = u on each of some axes, (name, lower, upper, count, periodic): f depends on no state."""
+    states = tuple(Quantity(name, "1", low, high, periodic=turns) for name, low, high, _, turns in axes)
+    system = System(
+        name="integrators",
+        states=states,
+        controls=tuple(Quantity(f"u_{i}", "1", -1.0, 1.0) for i in range(len(axes))),
+        disturbances=tuple(Quantity(f"d_{s.name}", "1", 0.0, 0.0) for s in states),
+        parameters={},
+        equations=lambda _math, _p: lambda _x, u, _d: tuple(u),
+    )
+    grid = tuple(Axis(name, "1", *rest) for name, *rest in axes)
+    return TimeToReachProblem(system, grid, Region({axes[0][0]: Interval(-0.3, 0.3), axes[-1][0]: Interval(-0.3, 0.3)}))
+
+
 PROBLEMS = {
+    "no outer axis": lambda: _integrators((("x", -2.0, 2.0, 21, False), ("y", -2.0, 2.0, 21, False))),
+    "a periodic row": lambda: _integrators((("x", -2.0, 2.0, 21, False), ("t", -np.pi, np.pi, 24, True))),
+    "one axis": lambda: _integrators((("x", -2.0, 2.0, 41, False),)),
     "rows alike": lambda: problem_from_task("car_ttr", counts=(31, 31, 18)),
     "obstacles": lambda: problem_from_task("car_ttr", counts=(31, 31, 18), inflation=0.2),
     "a game": lambda: problem_from_task("car_ttr", counts=(31, 31, 18), disturbances={"d_x": (-0.3, 0.3)}),
@@ -136,9 +154,7 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(capfd, tmp_path, monkeyp
     monkeypatch.setattr("ttr_reward_node.solvers.devices._driver_is_there", lambda: False)
     monkeypatch.setattr(sys, "argv", ["solve", "--task", "car_ttr", "--device", "cuda"])
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        raise SystemExit(solve_value())
-    assert end.value.code == 1
+    assert solve_value() == 1
     assert capfd.readouterr().err == "solve: device 'cuda': 0 NVIDIA GPUs with a driver are here; take --device cpu\n"
 
 
@@ -146,6 +162,22 @@ def test_without_warp_a_gpu_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "warp", None)
     with pytest.raises(TimeToReachError, match="pip install warp-lang"):
         solve(problem_from_task("car_ttr", counts=(31, 31, 18)), device="warp:cpu")
+
+
+def test_a_grid_that_does_not_fit_on_the_gpu_is_refused(monkeypatch):
+    pytest.importorskip("warp")
+    monkeypatch.setattr("ttr_reward_node.solvers.warp_sweeper.free_memory", lambda _device: 1e6)
+    with pytest.raises(TimeToReachError, match=r"17,298 grid points need .* of the GPU's memory at most, 0\.00 GB"):
+        solve(problem_from_task("car_ttr", counts=(31, 31, 18)), device=DEVICE)
+
+
+def test_safe_sets_run_on_the_cpu_alone(capfd, tmp_path, monkeypatch):
+    from ttr_reward_node.cli.values import solve_value
+
+    monkeypatch.setattr(sys, "argv", ["solve", "--task", "car_ttr", "--kind", "avoid", "--device", "cuda"])
+    monkeypatch.chdir(tmp_path)
+    assert solve_value() == 1
+    assert capfd.readouterr().err == "solve: --kind avoid runs on the CPU alone: leave --device out\n"
 
 
 def test_other_methods_run_on_the_cpu_alone():

@@ -11,17 +11,15 @@ from typing import Any
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.near_nodes import find_near_nodes
+from ttr_reward_node.solvers.near_nodes import find_near_nodes, near_share
 from ttr_reward_node.solvers.solution import gigabytes
 from ttr_reward_node.solvers.steps import Layout, Steps
 from ttr_reward_node.solvers.sweeper import Sweeper, make_sweeper
 
 CPU = "cpu"
 """The default device: compiled by Numba, and the reference for all others."""
-_ON_GPU = (
-    15.0,
-    8.0,
-)  # bytes a node: two buffers, choices, flags, and a part for the near nodes; of a step besides its moves
+_ON_GPU = 13.0, 8.0, 5e8  # bytes of a node: two buffers, choice, flag; of a step besides its moves; of the rest
+_MOST_NODES = 2**31 - 1  # numbers of nodes have 32 bits
 
 MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, StepTable, Grid, float], Sweeper]
 
@@ -82,11 +80,15 @@ def _on_warp(
     from ttr_reward_node.solvers.warp_near_nodes import BLOCK, OutcomeFinder
     from ttr_reward_node.solvers.warp_sweeper import WarpSweeper, free_memory
 
-    needed = _ON_GPU[0] * problem.points + steps.codes.size * (_ON_GPU[1] + 2.0 * len(layout.order))
+    if problem.points > _MOST_NODES:
+        raise TimeToReachError(f"{problem.points:,} grid points: a GPU takes {_MOST_NODES:,} at most, or --device cpu")
+    of_node, of_step, rest = _ON_GPU
+    outcomes = 4.0 * near_share(problem, float(steps.lengths.max())) * problem.points * steps.codes.shape[1]
+    needed = of_node * problem.points + (of_step + 2.0 * len(layout.order)) * steps.codes.size + outcomes + rest
     if needed > (there := free_memory(name)):
         raise TimeToReachError(
-            f"{problem.points:,} grid points need {gigabytes(needed)} of the GPU's memory, "
-            f"{gigabytes(there)} are free: take fewer points on some axes (counts), or --device cpu"
+            f"{problem.points:,} grid points need {gigabytes(needed)} of the GPU's memory at most, {gigabytes(there)} "
+            "are free: take fewer points on some axes (counts), or --device cpu"
         )
     near = find_near_nodes(problem, layout, steps, table, grid, rate, OutcomeFinder(name), BLOCK)
     return WarpSweeper(name, grid, table, near)
