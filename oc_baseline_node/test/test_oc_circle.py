@@ -1,6 +1,7 @@
 """States on a circle: the same problem a whole turn further, in goals, bounds, starts, plans and checks."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -189,3 +190,35 @@ def test_ways_round_are_the_nearest_ones_within_bounds() -> None:
 def test_values_are_moved_by_whole_periods_where_there_is_one() -> None:
     moved = coordinates.nearest_turn([10.0, 10.0], [0.0, 0.0], np.array([TURN, np.inf]))
     assert moved == pytest.approx([10.0 - 2 * TURN, 10.0])
+
+
+def test_a_plan_keeps_the_bounds_of_the_models_own_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A car whose speed is a state of 0.5 m/s at most, with a motor that could make it faster; no task names it."""
+
+    def equations(m: Any, _parameters: object) -> object:
+        return lambda x, u, d: (x[3] * m.cos(x[2]), x[3] * m.sin(x[2]), u[1], u[0])
+
+    states = (Quantity("x", "m"), Quantity("y", "m"), Quantity("theta", "rad", -np.pi, np.pi, periodic=True))
+    monkeypatch.setitem(
+        SYSTEM_MODELS,
+        "slow",
+        SystemModel(
+            states=(*states, Quantity("v", "m/s", -0.5, 0.5)),
+            controls=(Quantity("a", "m/s^2", -2.0, 2.0), Quantity("omega", "rad/s", -2.0, 2.0)),
+            parameters=(),
+            equations=equations,
+        ),
+    )
+    base = load_navigation_task("car_navigation")
+    changes = {
+        "system": base.system.model_validate({"model": "slow"}),
+        "obstacles": (),
+        "optimal_control": base.optimal_control.model_copy(
+            update={"horizon": 60, "time_step": 0.2, "controls": {}, "terminal_set": None, "gamma": 1.0}
+        ),
+    }  # fmt: skip
+    problem = formulate(base.model_copy(update=changes))
+    plan = Mpc(problem).solve(np.array([0.0, 0.0, 0.8, 0.0]))
+    assert plan.solved, plan.reason
+    assert np.abs(plan.states[:, 3]).max() == pytest.approx(0.5, abs=1e-3)
+    assert "v = 0.7 is out of bounds, -0.5 .. 0.5" in problem.refusal([0.0, 0.0, 0.8, 0.7])

@@ -39,6 +39,8 @@ _ROOM = 0.02
 """Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
 _HEAVIEST = 1e100
 """Maximum weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
+_RANGES = {"planar_quadrotor": ("v_x", "v_z", "omega")}
+"""Bounds of states that are ranges for grids (thesis Table 3.1): nothing in the model or its simulators stops there."""
 _INSIDE = 1e-3
 """Distance inside the goal's bounds at which a trajectory must end, beyond a solver's tolerance [m, rad]."""
 
@@ -257,15 +259,16 @@ def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
 
 
 def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, clearance: float) -> Array:
-    """Return (2, n): the task's bounds, less what ends an episode: positions within d_min of a wall, too much tilt."""
+    """Return (2, n): the bounds of task and model, less what ends an episode: d_min from a wall, too much tilt."""
     bounds = np.array([[-np.inf] * len(system.states), [np.inf] * len(system.states)])
     for name, interval in oc.bounds.items():
         if name not in system.state_names:
             raise OcError(f"task '{task.name}': optimal_control.bounds names '{name}', which the system lacks")
         bounds[:, system.state_names.index(name)] = interval
-    for name in set(task.system.states) & set(system.state_names):
-        own, index = system.states[system.state_names.index(name)], system.state_names.index(name)
-        bounds[:, index] = max(bounds[0, index], own.lower), min(bounds[1, index], own.upper)
+    for index, own in enumerate(system.states):
+        of_task = own.name in task.system.states
+        if of_task or not (own.periodic or own.name in _RANGES.get(system.name, ())):
+            bounds[:, index] = max(bounds[0, index], own.lower), min(bounds[1, index], own.upper)
     for name, wall in _walls(task).items():
         index = system.state_names.index(name)
         low, high = bounds[:, index]
