@@ -196,7 +196,7 @@ def test_a_plan_keeps_the_bounds_of_the_models_own_states(monkeypatch: pytest.Mo
     """A car whose speed is a state of 0.5 m/s at most, with a motor that could make it faster; no task names it."""
 
     def equations(m: Any, _parameters: object) -> object:
-        return lambda x, u, d: (x[3] * m.cos(x[2]), x[3] * m.sin(x[2]), u[1], u[0])
+        return lambda x, u, _d: (x[3] * m.cos(x[2]), x[3] * m.sin(x[2]), u[1], u[0])
 
     states = (Quantity("x", "m"), Quantity("y", "m"), Quantity("theta", "rad", -np.pi, np.pi, periodic=True))
     monkeypatch.setitem(
