@@ -158,11 +158,10 @@ def move_for(system: System, x: Array, pairs: HeldPairs, spacings: Array, durati
 
 def _fraction_to_limit(move: Array, room: Room, cells: float) -> Array:
     """Factor by which a displacement (k, p, n) must grow to reach its plane, or the first limit on the way."""
-    limit = np.minimum(np.where(move < 0.0, room.below, room.above), cells)
     # From a limit outwards there is no room at all: the step stays as long, and is refused by where it ends.
-    limit = np.where(limit < 1e-6, cells, limit)
+    below, above = (np.where(way < 1e-6, cells, np.minimum(way, cells)) for way in room)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _over_axes(np.minimum, np.where(move == 0.0, np.inf, limit / np.abs(move)))
+        return _over_axes(np.minimum, np.where(move < 0.0, below, above) / np.abs(move))
 
 
 def _onto_plane(motion: Motion, room: Room, cells: float) -> Motion:

@@ -16,13 +16,13 @@ from ttr_reward_node.kernels.boundary_conditions import FIXED, FREE, INTERPOLATE
 from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.held_motion import move_for
+from ttr_reward_node.solvers.held_motion import HeldPairs, move_for
 from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
 _BEYOND = 1.05  # cells beyond the reach of a step that may matter to it: it goes on in the cell in which it ends
-_BLOCK = 1 << 15  # outcomes that are found at once: each takes about 3 kB on the way
+_BLOCK = 1 << 13  # outcomes that are found at once: each takes about 3 kB on the way
 _ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
 
 
@@ -142,25 +142,43 @@ def _paths(
     motion = move_for(problem.system, states, steps.held, all_spacings, durations)
     there = (durations > 0.0)[..., None]
     moves = np.where(there[..., None], motion.path(PARTS), 0.0)[..., layout.order].astype(np.float32)
-    ahead, more = _go_on(problem, steps, states + motion.moves * all_spacings, np.abs(motion.last).max(axis=-1))
+    ends = states + motion.moves * all_spacings
+    row, column = np.nonzero(_ends_near_target(problem, layout, ends))
+    held = HeldPairs(steps.held.u[column], steps.held.d[column])
+    ahead, more = np.zeros((*durations.shape, 2, len(layout.order))), np.zeros(durations.shape)
+    fastest = np.abs(motion.last[row, column]).max(axis=-1)
+    ahead[row, column], more[row, column] = _go_on(problem, held, ends[row, column], fastest)
     forward = np.ascontiguousarray(ahead[..., layout.order], dtype=np.float32)
     reach = np.linalg.norm(moves[..., plane] * spacings, axis=-1).max(axis=-1).astype(np.float64)
     return Paths(durations, np.ascontiguousarray(moves), forward, more, reach)
 
 
-def _go_on(
-    problem: TimeToReachProblem, steps: Steps, ends: NDArray[np.float64], fastest: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return displacements (k, p, 2, n) [cells] after each half of a little more of the same, and durations (k, p) [s].
+def _ends_near_target(problem: TimeToReachProblem, layout: Layout, ends: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether steps that end at states (k, p, n), as far as the slab tells, do so within about a cell of the target."""
+    near = np.ones(ends.shape[:-1], dtype=bool)
+    for k, low, high in _target_spans(problem):
+        axis = problem.axes[k]
+        if k in layout.outer:
+            offset = ends[..., k] - 0.5 * (low + high)
+            if axis.periodic:
+                offset -= np.round(offset / (axis.upper - axis.lower)) * (axis.upper - axis.lower)
+            near &= np.abs(offset) <= 0.5 * (high - low) + _BEYOND * axis.spacing
+    return near
 
-    `ends` (k, p, n) is where the steps end, and `fastest` (k, p) their rate along the fastest axis there [cells/s].
+
+def _go_on(
+    problem: TimeToReachProblem, held: HeldPairs, ends: NDArray[np.float64], fastest: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return displacements (m, 2, n) [cells] after each half of a little more of the same, and durations (m,) [s].
+
+    `ends` (m, n) is where m steps end, and `fastest` (m,) their rate along the fastest axis there [cells/s].
     """
     spacings = np.array([axis.spacing for axis in problem.axes])
     moving = np.isfinite(fastest) & (fastest > 0.0)
     more = np.where(moving, _FURTHER / np.where(moving, fastest, 1.0), 0.0)
     with np.errstate(all="ignore"):
-        half = problem.system.step(ends, *steps.held, dt=0.5 * more[..., None])
-        whole = problem.system.step(half, *steps.held, dt=0.5 * more[..., None])
+        half = problem.system.step(ends, *held, dt=0.5 * more[..., None])
+        whole = problem.system.step(half, *held, dt=0.5 * more[..., None])
         ahead = np.stack((half - ends, whole - ends), axis=-2) / spacings
     # Where the motion comes to rest, or turns, within that time, two straight pieces do not follow it.
     smooth = np.isfinite(ahead).all(axis=(-2, -1)) & (np.abs(ahead).max(axis=(-2, -1)) <= 2.0 * _FURTHER)
@@ -219,12 +237,7 @@ def _may_reach_target(
 
     `reach` (k, n, 2) [cells] is that of the slabs, as in `Steps`.
     """
-    names = problem.system.state_names
-    spans = [(names.index(name), *interval) for name, interval in problem.target.intervals.items()]
-    if (disc := problem.target.disc) is not None:
-        middles = zip(position_indices(names), disc.centre, strict=True)
-        spans += [(k, middle - disc.radius, middle + disc.radius) for k, middle in middles]
-    for k, low, high in spans:
+    for k, low, high in _target_spans(problem):
         axis = problem.axes[k]
         nodes = _on_slabs(layout, problem.along(k, axis.nodes), slabs) / axis.spacing
         ahead = reach[:, layout.order.index(k)].reshape(-1, *(1,) * len(layout.inner), 2)
@@ -232,6 +245,16 @@ def _may_reach_target(
         turns = (-axis.count, 0, axis.count) if axis.periodic else (0,)
         meets = [(upper + t >= low / axis.spacing) & (lower + t <= high / axis.spacing) for t in turns]
         yield np.logical_or.reduce(meets)
+
+
+def _target_spans(problem: TimeToReachProblem) -> Iterator[tuple[int, float, float]]:
+    """Yield axes of the target with its ends there; a disc is as wide as it is."""
+    names = problem.system.state_names
+    for name, (low, high) in problem.target.intervals.items():
+        yield names.index(name), low, high
+    if (disc := problem.target.disc) is not None:
+        for k, middle in zip(position_indices(names), disc.centre, strict=True):
+            yield k, middle - disc.radius, middle + disc.radius
 
 
 def _may_reach_obstacle(

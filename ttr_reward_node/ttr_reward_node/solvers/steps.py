@@ -322,13 +322,14 @@ def _leaves(
 
     A step from beyond a limit, which may begin at the last node before it, only has to end within.
     """
-    doubtful = np.zeros(motion.durations.shape, dtype=bool)
+    doubtful, outside = np.zeros((2, *motion.durations.shape), dtype=bool)
     for k in layout.outer:
         (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
-        doubtful |= hull[0][..., k] < (low - x[..., k]) / spacing - 0.5 * _EDGE
-        doubtful |= hull[1][..., k] > (high - x[..., k]) / spacing + 0.5 * _EDGE
-    outside = np.zeros(motion.durations.shape, dtype=bool)
-    row, column = np.nonzero(doubtful)
+        below, above = (low - x[..., k]) / spacing, (high - x[..., k]) / spacing
+        doubtful |= (hull[0][..., k] < below - 0.5 * _EDGE) | (hull[1][..., k] > above + 0.5 * _EDGE)
+        way = x[..., k] + spacing * motion.moves[..., k]
+        outside |= (way < low - _EDGE * spacing) | (way > high + _EDGE * spacing)
+    row, column = np.nonzero(doubtful & ~outside)
     path, start = motion.of(row, column).path(PARTS), x[row, 0]
     for k in layout.outer:
         (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
