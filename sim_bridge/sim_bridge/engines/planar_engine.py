@@ -14,8 +14,9 @@ import numpy as np
 
 from ctrl_rl_core import Box, Disc, Shape
 from sim_bridge.engines.engine import MOST_ROBOTS, SEARCH_LIMIT, WALL_HEIGHT, Array, FlyingRobot, WheeledRobot
-from sim_bridge.engines.planar_geometry import COLUMNS, SEEN, cast, nearest, place, wheel_speeds
-from sim_bridge.engines.planar_parts import Outline, disc_outline, outline, wheeled_model
+from sim_bridge.engines.planar_geometry import COLUMNS, SEEN, cast, nearest, place
+from sim_bridge.engines.planar_motion import RollingDrives
+from sim_bridge.engines.planar_parts import Outline, disc_outline, outline
 from sim_bridge.errors import SimulationError
 
 
@@ -146,53 +147,38 @@ class PlanarWheels(_PlanarRobot):
     """A `WheelBase` that rolls without slipping."""
 
     def __init__(self, robot: WheeledRobot, rate: int) -> None:
-        model = wheeled_model(robot.urdf)
-        self._urdf, self._step = robot.urdf, 1.0 / rate
-        self._radius, self._separation = model.wheel_radius, model.wheel_separation
-        self._own, self._shared = model.answers
-        self._impulse = robot.torque / rate
-        self._x, self._y, self._theta = robot.pose.tolist()
-        self._speeds, self._wanted = np.zeros(2), np.zeros(2)
-        self._settled = True
-        self._angles = [0.0, 0.0]
+        self._urdf, self._drives = robot.urdf, RollingDrives(robot.urdf, robot.torque, 1, rate)
+        self._drives.begin(0, robot.pose)
 
     def outline(self, plane: str) -> Outline:  # noqa: D102 - see _PlanarRobot
         return outline(self._urdf, plane)
 
     def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
-        self._wanted[0], self._wanted[1] = left, right
-        self._settled = False
+        self._drives.wanted[0] = left, right
 
     def advance(self) -> None:  # noqa: D102 - see _PlanarRobot
-        if not self._settled:
-            self._settled = wheel_speeds(self._speeds, self._wanted, self._own, self._shared, self._impulse)
-        left, right = self._speeds.tolist()
-        self._angles[0] += left * self._step
-        self._angles[1] += right * self._step
-        way = 0.5 * self._radius * (left + right) * self._step
-        half_turn = 0.5 * self._radius * (right - left) / self._separation * self._step
-        chord = way if abs(half_turn) < 1e-9 else way * math.sin(half_turn) / half_turn
-        self._x += chord * math.cos(self._theta + half_turn)
-        self._y += chord * math.sin(self._theta + half_turn)
-        self._theta += 2.0 * half_turn
+        self._drives.advance()
 
     def place(self) -> tuple[float, float, float]:  # noqa: D102
-        return self._x, self._y, self._theta
+        x, y, theta = self._drives.poses[0].tolist()
+        return x, y, theta
 
     def wheel_angles(self) -> tuple[float, float]:  # noqa: D102
-        return self._angles[0], self._angles[1]
+        left, right = self._drives.angles[0].tolist()
+        return left, right
 
     def pose(self) -> Array:  # noqa: D102
-        return np.array((self._x, self._y, math.remainder(self._theta, 2.0 * math.pi)))
+        x, y, theta = self.place()
+        return np.array((x, y, math.remainder(theta, 2.0 * math.pi)))
 
     def velocity(self) -> Array:  # noqa: D102
-        left, right = self._speeds.tolist()
-        v = 0.5 * self._radius * (left + right)
-        omega = self._radius * (right - left) / self._separation
-        return np.array((v * math.cos(self._theta), v * math.sin(self._theta), omega))
+        v, omega = self._drives.twist(0)
+        theta = self.place()[2]
+        return np.array((v * math.cos(theta), v * math.sin(theta), omega))
 
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
-        return 0.0, 0.0, math.sin(0.5 * self._theta), math.cos(0.5 * self._theta)
+        half = 0.5 * self.place()[2]
+        return 0.0, 0.0, math.sin(half), math.cos(half)
 
 
 class PlanarFlight(_PlanarRobot):

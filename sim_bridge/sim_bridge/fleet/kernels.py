@@ -1,4 +1,4 @@
-"""Motion, clearances and rays of many robots, compiled by Numba; robots do not meet each other."""
+"""Clearances and rays of many robots, compiled by Numba; robots do not see each other."""
 
 from __future__ import annotations
 
@@ -9,53 +9,6 @@ import numpy as np
 from ctrl_rl_core.values import cached_njit
 
 from sim_bridge.engines.planar_geometry import COS, HALF_X, HALF_Y, RADIUS, SEEN, SIN, X, Y, cast, nearest, place
-from sim_bridge.engines.planar_geometry import wheel_speeds as bring_to_speed
-
-
-@cached_njit
-def roll(
-    poses: Any,
-    speeds: Any,
-    held: Any,
-    wanted: Any,
-    settled: Any,
-    share: float,
-    own: float,
-    shared: float,
-    impulse: float,
-    turns: Any,
-) -> None:
-    """Advance differential drives by a physics step.
-
-    Args:
-        poses: Poses x, y, theta (N, 3) [m, m, rad], changed in place.
-        speeds: Speeds of the left and right wheel (N, 2) [rad/s], changed in place.
-        held: Target speeds of the motors, after their lag (N, 2) [rad/s], changed in place.
-        wanted: Commanded speeds (N, 2) [rad/s].
-        settled: Whether both wheels have reached their target speeds (N,), changed in place.
-        share: Fraction of the way to the commanded speed that the targets go in a step.
-        own: Speed that an impulse gives its own wheel [rad/s per N m s].
-        shared: Speed that it gives the other wheel [rad/s per N m s].
-        impulse: Maximum impulse of a motor in a step [N m s].
-        turns: Distance [m] per sum, and half a turn [rad] per difference, of the wheels' speeds (2,).
-    """
-    for i in range(len(poses)):
-        if wanted[i, 0] != held[i, 0] or wanted[i, 1] != held[i, 1]:
-            gap = 0.0
-            for wheel in range(2):
-                held[i, wheel] += share * (wanted[i, wheel] - held[i, wheel])
-                gap += abs(held[i, wheel] - wanted[i, wheel])
-            if gap < 1e-6:
-                held[i] = wanted[i]
-            settled[i] = False
-        if not settled[i]:
-            settled[i] = bring_to_speed(speeds[i], held[i], own, shared, impulse)
-        way = turns[0] * (speeds[i, 0] + speeds[i, 1])
-        half_turn = turns[1] * (speeds[i, 1] - speeds[i, 0])
-        chord = way if abs(half_turn) < 1e-9 else way * math.sin(half_turn) / half_turn
-        poses[i, 0] += chord * math.cos(poses[i, 2] + half_turn)
-        poses[i, 1] += chord * math.sin(poses[i, 2] + half_turn)
-        poses[i, 2] += 2.0 * half_turn
 
 
 @cached_njit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
@@ -10,8 +9,8 @@ from ctrl_rl_core.tasks import ANGLES, MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Robot, System
-from sim_bridge.engines.planar_parts import Outline, disc_outline, outline, wheeled_model
-from sim_bridge.fleet.kernels import roll
+from sim_bridge.engines.planar_motion import RollingDrives
+from sim_bridge.engines.planar_parts import Outline, disc_outline, outline
 from sim_bridge.simulation.bodies import drive_of
 from sim_bridge.simulation.model_body import LIDAR_HEIGHT, advance
 from sim_bridge.simulation.robot_urdf import urdf_of
@@ -49,51 +48,29 @@ class FleetMotion(Protocol):
 
 
 class WheeledMotion:
-    """Differential drives on velocity motors with a lag and limited torque, which roll without slipping."""
+    """Differential drives, see `RollingDrives`."""
 
     def __init__(self, task: NavigationTask, size: int, rate: int) -> None:
         drive = drive_of(task)
         self.outline, self.lidar = outline(drive.urdf, "xy"), (*drive.lidar, drive.lidar_yaw)
-        model = wheeled_model(drive.urdf)
-        self._own, self._shared = model.answers
-        self._impulse, self._share = drive.torque / rate, -math.expm1(-1.0 / (rate * drive.lag))
-        self._turns = 0.5 * model.wheel_radius / rate * np.array((1.0, 1.0 / model.wheel_separation))
-        self._model, self._drive = model, drive
+        self._drive, self._drives = drive, RollingDrives(drive.urdf, drive.torque, size, rate, drive.lag)
+        self.poses = self._drives.poses
         self._limits = None if drive.bounds is None else np.array(drive.bounds).T
-        self.poses = np.zeros((size, 3))
-        self._speeds, self._held, self._wanted = np.zeros((size, 2)), np.zeros((size, 2)), np.zeros((size, 2))
-        self._settled = np.ones(size, dtype=bool)
 
     def begin(self, index: int, state: dict[str, float]) -> None:  # noqa: D102 - see FleetMotion
-        self.poses[index] = [state[name] for name in ("x", "y", "theta")]
-        self._speeds[index] = self._held[index] = self._wanted[index] = 0.0
-        self._settled[index] = True
+        self._drives.begin(index, [state[name] for name in ("x", "y", "theta")])
 
     def command(self, commands: Array) -> None:  # noqa: D102
         within = commands if self._limits is None else np.clip(commands, *self._limits)
         turn = 0.5 * self._drive.wheel_separation * within[:, 1]
-        self._wanted = np.stack((within[:, 0] - turn, within[:, 0] + turn), axis=1) / self._drive.wheel_radius
+        speeds = np.stack((within[:, 0] - turn, within[:, 0] + turn), axis=1)
+        self._drives.wanted[:] = speeds / self._drive.wheel_radius
 
     def advance(self) -> None:  # noqa: D102
-        roll(
-            self.poses,
-            self._speeds,
-            self._held,
-            self._wanted,
-            self._settled,
-            self._share,
-            self._own,
-            self._shared,
-            self._impulse,
-            self._turns,
-        )
+        self._drives.advance()
 
     def velocities(self) -> Array:  # noqa: D102
-        left, right = self._speeds.T
-        v = 0.5 * self._model.wheel_radius * (left + right)
-        omega = self._model.wheel_radius * (right - left) / self._model.wheel_separation
-        theta = self.poses[:, 2]
-        return np.stack((v * np.cos(theta), v * np.sin(theta), omega), axis=1)
+        return self._drives.velocities()
 
     def states(self) -> Array | None:  # noqa: D102
         return None
