@@ -8,18 +8,20 @@ import pytest
 from ctrl_rl_learning.cli.evaluate_offline import evaluate_offline
 from ctrl_rl_learning.cli.learn_offline import learn_offline
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.dynamics import fit_dynamics
-from ctrl_rl_learning.offline.data.interface import sensed_interface
-from ctrl_rl_learning.offline.data.motion import displacements, fit_motion
-from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions
+from ctrl_rl_learning.offline.data.motion import displacements, fit_dynamics, fit_motion
+from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions, sensed_interface
 from ctrl_rl_learning.offline.data.values import StateValues, load_values, solvable
 from ctrl_rl_learning.offline.driving.drivers import NoisyPolicy, ScriptedDriver
 from ctrl_rl_learning.offline.driving.driving import drive
-from ctrl_rl_learning.offline.evaluation.doubly_robust import episode_estimates, step_ratios
-from ctrl_rl_learning.offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
+from ctrl_rl_learning.offline.evaluation.estimators import (
+    PolicyValues,
+    actions_of,
+    episode_estimates,
+    fit_values,
+    step_ratios,
+)
 from ctrl_rl_learning.offline.evaluation.roll_outs import LearntWorld, can_model, model_returns, replay_correlation
-from ctrl_rl_learning.offline.learners.improvement import improved_actions
-from ctrl_rl_learning.offline.learners.learning import learn
+from ctrl_rl_learning.offline.learners.learning import improved_actions, learn
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator
-from ctrl_rl_learning.on_robot.environment.step_clock import StepClock
+from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator, Tally
+from ctrl_rl_learning.on_robot.environment.robot_env import StepClock
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner, TuneSettings
 from ctrl_rl_learning.on_robot.learning.policy import read_policy
 from ctrl_rl_learning.on_robot.learning.session import Session
-from ctrl_rl_learning.on_robot.nodes.tally import Tally
-from ctrl_rl_learning.torch.array_file import save_arrays
+from ctrl_rl_learning.torch.checkpoints import save_arrays
 from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
 from hypothesis import given
 from hypothesis import strategies as st

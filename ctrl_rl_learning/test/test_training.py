@@ -11,13 +11,11 @@ import pytest
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.sb3.algorithm_names import ALGORITHMS
 from ctrl_rl_learning.sb3.algorithms import extract_actor, make_algorithm
-from ctrl_rl_learning.sb3.environment import make_environment
-from ctrl_rl_learning.sb3.roll_out import evaluate
-from ctrl_rl_learning.sb3.state_visitation import load_visits
+from ctrl_rl_learning.sb3.environment import evaluate, make_environment
+from ctrl_rl_learning.sb3.records import load_visits
 from ctrl_rl_learning.sb3.training import SimulatedRun
 from ctrl_rl_learning.study.matrix import run_experiments
-from ctrl_rl_learning.study.run import RunOptions
-from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.study.run import RunOptions, result_file
 from ctrl_rl_learning.study.trainer import train
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

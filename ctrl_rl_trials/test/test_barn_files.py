@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from barn_files import box, cylinder, path_file, plugin, world, write_checkout
-from ctrl_rl_trials.barn.path_file import read_path
 from ctrl_rl_trials.barn.plugin_file import read_keyframes
 from ctrl_rl_trials.barn.scenarios import load_scenario
 from ctrl_rl_trials.barn.score import LOW_ROS2, score
-from ctrl_rl_trials.barn.world_file import read_world
+from ctrl_rl_trials.barn.world_file import read_path, read_world
 from ctrl_rl_trials.errors import TrialError
 from hypothesis import given
 from hypothesis import strategies as st

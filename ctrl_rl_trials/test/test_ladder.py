@@ -8,7 +8,7 @@ from ctrl_rl_core.io import read_experiment
 from ctrl_rl_trials.ladder.results import read_curves, write
 from ctrl_rl_trials.ladder.runs import LadderRun
 from ctrl_rl_trials.ladder.task_list import LADDER, PRACTICE, load_ladder_task
-from ctrl_rl_trials.shaping import baseline, demonstrations
+from ctrl_rl_trials.shaping import baseline
 from ctrl_rl_trials.shaping.variants import WAYS
 from hypothesis import given
 from hypothesis import strategies as st
@@ -84,8 +84,8 @@ def value(tmp_path_factory):
     ],
 )
 def test_each_way_learns(way, learner, value, monkeypatch):
-    monkeypatch.setattr(demonstrations, "SAMPLES", 64)
-    monkeypatch.setattr(demonstrations, "_STEPS", 20)
+    monkeypatch.setattr(baseline, "SAMPLES", 64)
+    monkeypatch.setattr(baseline, "_CLONING_STEPS", 20)
     monkeypatch.setattr(baseline, "_STATES", 64)
     monkeypatch.setattr(baseline, "_STEPS", 20)
     run = LadderRun("open_field", way, learner, 0, value)

@@ -73,7 +73,7 @@ def test_trajectories_of_another_task_are_refused(folder):
 def test_a_run_learns_with_it_and_names_it(folder, potential):
     (run,) = ladder_runs(["practice_corner"], ["best_progress_mpc"], ["ppo"], 1, {}, {"practice_corner": folder})
     assert run.description["value_digest"] == potential.digest
-    reward = run._reward(1)
+    reward = run.fleet_reward(1)
     states = np.array([[1.4, -1.0, 1.57]])
     reward.begin([0], states)
     paid = reward.pay(states + np.array([0.0, 0.5, 0.0]), np.zeros(1, dtype=np.intp), np.zeros(1))

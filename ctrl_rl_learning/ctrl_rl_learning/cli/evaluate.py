@@ -79,8 +79,7 @@ def report(options: EvaluateOptions, task: str, succeeded: Sequence[bool] | None
 
 def _evaluate_actor(options: EvaluateOptions) -> int:
     from ctrl_rl_core import Actor
-    from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, make_environment, observation_names
-    from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
+    from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, SUCCESS, evaluate, make_environment, observation_names
 
     actor = Actor.load(options.policy)
     task = find_learnt_task(options.policy, str(actor.manifest.get("task")), options.task, LearningError)

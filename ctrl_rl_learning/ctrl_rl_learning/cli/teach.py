@@ -43,8 +43,7 @@ def _teach(options: Teach) -> int:
     if task.corridor is None:
         raise CommandError(f"task '{task.name}' has no corridor: there are curved_corridor and corridor_doorways")
     # Torch takes seconds to import: not before the arguments are right.
-    from ctrl_rl_learning.dagger.results import as_text, collect
-    from ctrl_rl_learning.dagger.run import TaughtRun
+    from ctrl_rl_learning.dagger.run import TaughtRun, as_text, collect
 
     runs = [TaughtRun(options.task, seed) for seed in range(options.seeds)]
     how = RunOptions(options.folder, math.ceil(options.samples / _ITERATION), _ITERATION, 0, _FINAL_EVALUATIONS)

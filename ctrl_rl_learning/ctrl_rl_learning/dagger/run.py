@@ -1,4 +1,4 @@
-"""A run of lessons: the pupil drives, the teacher says at each scan what it would do, and the pupil learns all of it.
+"""A run in which a student drives, an expert says at each scan what to do, and the student learns all of it; its table.
 
 Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning"
 (AISTATS 2011).
@@ -16,12 +16,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task, task_digest
+from ctrl_rl_core import NavigationTask, Outcome, Result, load_navigation_task, task_digest
 from ctrl_rl_learning.dagger.episode import LabelledSample, corridor_interface, drive_labelled
 from ctrl_rl_learning.dagger.student import Student
+from ctrl_rl_learning.study.results import as_table, collect_rows, curves_of, finished_runs, metric
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
-from ctrl_rl_learning.torch.learner_state import restore_state, state_arrays
+from ctrl_rl_learning.torch.checkpoints import load_arrays, restore_state, save_arrays, state_arrays
 
 _UPDATES = 1500
 _LAST_UPDATES = 10_000
@@ -138,3 +138,21 @@ class TaughtRun(Run):
     def words(self, point: Point) -> float | str:
         """Return the success of the pupil's own drives before it learnt from them."""
         return float(point["evaluation"])
+
+
+_METRICS = (
+    metric("success", "1", lambda result: float(result["success"])),
+    metric("collisions", "1", lambda result: float(result["collisions"])),
+    metric("processor time", "s", lambda result: float(result["cpu_seconds"])),
+)
+
+
+def collect(runs: Sequence[TaughtRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
+    """Return the rows of finished runs, each metric with one value a seed, and their `curves` of success."""
+    found = finished_runs(runs, folder, lambda _: "taught by the time to reach")
+    return collect_rows(found, _METRICS), {"curves": curves_of(found, success="evaluation")}
+
+
+def as_text(rows: list[Result]) -> str:
+    """Return the rows as text."""
+    return as_table(rows, {})

@@ -1,6 +1,6 @@
-from .data.recorded import read_drives as read_drives
 from .data.transitions import Transitions as Transitions
 from .data.transitions import load_transitions as load_transitions
+from .data.transitions import read_drives as read_drives
 from .data.values import OC_VALUE as OC_VALUE
 from .data.values import TIME_TO_REACH as TIME_TO_REACH
 from .data.values import StateValues as StateValues

@@ -8,9 +8,11 @@ from .algorithms import make_algorithm as make_algorithm
 from .algorithms import number_of_environments as number_of_environments
 from .checkpoint import model_arrays as model_arrays
 from .checkpoint import restore_model as restore_model
+from .environment import SUCCESS as SUCCESS
 from .environment import Environment as Environment
 from .environment import ScaledObservation as ScaledObservation
 from .environment import Vector as Vector
+from .environment import evaluate as evaluate
 from .environment import make_environment as make_environment
 from .environment import observation_names as observation_names
 from .environment import observation_scales as observation_scales
@@ -18,11 +20,9 @@ from .fleet import FleetEnvironments as FleetEnvironments
 from .fleet import FleetReward as FleetReward
 from .fleet import evaluate_in_fleet as evaluate_in_fleet
 from .fleet import fits_fleet as fits_fleet
-from .losses import entropy_of as entropy_of
-from .losses import listen as listen
-from .roll_out import SUCCESS as SUCCESS
-from .roll_out import evaluate as evaluate
-from .state_visitation import Visits as Visits
-from .state_visitation import load_visits as load_visits
+from .records import Visits as Visits
+from .records import entropy_of as entropy_of
+from .records import listen as listen
+from .records import load_visits as load_visits
 from .training import Recorder as Recorder
 from .training import SimulatedRun as SimulatedRun

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from ctrl_rl_learning.torch.array_file import load_arrays, save_arrays
-from ctrl_rl_learning.torch.learner_state import Arrays, restore_state, state_arrays
+from ctrl_rl_learning.torch.checkpoints import Arrays, load_arrays, restore_state, save_arrays, state_arrays
 
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _HISTORY, _VARIABLE, _REPLAY = "history.", "variable.", "replay."

@@ -1,4 +1,4 @@
-"""Simulated tasks as learners see them: observations around 0 and of the order of 1.
+"""Simulated tasks as learners see them, observations around 0 and of the order of 1, and a policy's episodes in them.
 
 environment = make_environment(load_navigation_task("car_ttr"))
 """
@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from sim_bridge.fleet import RATE as FLEET_RATE
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import Actor, Episodes, FunctionDriver, NavigationTask, Outcome, drive
 from ctrl_rl_learning.errors import LearningError
 from sim_bridge import NavigationEnv, SimulationOptions
 
@@ -100,3 +100,11 @@ def make_environment(
     for wrap in wrappers:
         environment = wrap(environment)
     return ScaledObservation(environment, task)
+
+
+SUCCESS = Outcome.GOAL.name
+
+
+def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> Episodes[Vector]:
+    """Return episodes from the seeds `seed`, `seed` + 1 and so on, with their states."""
+    return drive(environment, FunctionDriver(actor.scaled_action), seeds=range(seed, seed + episodes), keep=True)

@@ -30,11 +30,9 @@ from ctrl_rl_core import (
 )
 from ctrl_rl_learning.sb3.algorithms import REWARD_SCALE, extract_actor, number_of_environments
 from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
-from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, Environment, observation_names
+from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, SUCCESS, Environment, evaluate, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
-from ctrl_rl_learning.sb3.losses import entropy_of, listen
-from ctrl_rl_learning.sb3.roll_out import SUCCESS, evaluate
-from ctrl_rl_learning.sb3.state_visitation import Visits
+from ctrl_rl_learning.sb3.records import Visits, entropy_of, listen
 from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
 
 Tester = Callable[[Actor, int, int], Sequence[Episode[Any]]]

@@ -34,7 +34,7 @@ from ctrl_rl_core import (
 from ctrl_rl_learning.study.run import Run, RunOptions
 
 if TYPE_CHECKING:
-    from ctrl_rl_learning.study.figure_data import Figures
+    from ctrl_rl_learning.study.results import Figures
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 ITERATION = 10_240

@@ -16,8 +16,7 @@ from ctrl_rl_core.processes import CONTEXT, Tell, map_in_ray, require_ray
 from tqdm import tqdm
 
 from ctrl_rl_core import exclusive_lock, map_in_processes
-from ctrl_rl_learning.study.run import Run, RunOptions
-from ctrl_rl_learning.study.run_folder import result_file
+from ctrl_rl_learning.study.run import Run, RunOptions, result_file
 from ctrl_rl_learning.study.trainer import train
 
 

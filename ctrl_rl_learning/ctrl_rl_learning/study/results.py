@@ -1,19 +1,109 @@
-"""Tables of finished runs, from the metrics that a package declares, and curves to draw."""
+"""Tables of finished runs, from the metrics that a package declares; curves and data of figures; estimates."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from ctrl_rl_core.io import FileError, raise_as, read_json
+from ctrl_rl_core.io import FileError, Name, Schema, raise_as, read_json
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
 
 from ctrl_rl_core import Result, ResultsError
-from ctrl_rl_learning.study.figure_data import Figures
-from ctrl_rl_learning.study.run import Run
-from ctrl_rl_learning.study.run_folder import read_result, result_file
+from ctrl_rl_learning.study.run import Run, read_result, result_file
+
+Series = Annotated[list[float], Field(min_length=1, max_length=100_000)]
+Seeds = Annotated[list[Series], Field(min_length=1, max_length=10_000)]
+"""Of each seed, one value an iteration."""
+State = Annotated[list[float], Field(min_length=2, max_length=50)]
+
+
+class _Data(Schema):
+    """Figures may be NaN where there was nothing to measure."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+class Curve(_Data):
+    """What the seeds of a method gave after so many samples."""
+
+    samples: Series
+
+    @model_validator(mode="after")
+    def _as_long_as_each_other(self) -> Curve:
+        for name, seeds in self:
+            if name != "samples" and any(len(values) != len(self.samples) for values in seeds):
+                raise ValueError(f"{name}: not one value for each of the samples")
+        return self
+
+
+class ValueCurve(Curve):
+    """A curve of one figure."""
+
+    values: Seeds
+
+
+class SuccessCurve(Curve):
+    """A curve of the success rate."""
+
+    success: Seeds
+
+
+class ReturnCurve(SuccessCurve):
+    """A curve of success rate and return."""
+
+    total: Seeds
+
+
+class DrivenPath(_Data):
+    """The states of an episode, and how it ended."""
+
+    outcome: Name
+    states: Annotated[list[State], Field(min_length=1, max_length=1_000_000)]
+
+    @model_validator(mode="after")
+    def _of_one_size(self) -> DrivenPath:
+        if len({len(state) for state in self.states}) > 1:
+            raise ValueError("states: of different sizes")
+        return self
+
+
+class Figures(_Data):
+    """The figures' data of a results file; each package adds what it draws."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+    task: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$", max_length=100)]
+    task_digest: str | None = None
+
+
+Array = NDArray[np.float64]
+_RESAMPLED = 1000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean with its 95 % interval over resampled episodes and fits."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:9.3f}  ({self.low:.3f} to {self.high:.3f})"
+
+
+def estimate(numbers: Array, random: np.random.Generator) -> Estimate:
+    """Return mean and interval of numbers (fits, episodes), by resampling episodes and drawing a fit."""
+    fits, count = numbers.shape
+    drawn = random.integers(count, size=(_RESAMPLED, count))
+    means = numbers[random.integers(fits, size=_RESAMPLED)[:, None], drawn].mean(axis=1)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return Estimate(float(numbers.mean()), float(low), float(high))
+
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 Finished = dict[str, list[tuple[AnyRun, dict[str, Any]]]]

@@ -20,8 +20,7 @@ from pydantic import ValidationError
 from ctrl_rl_core import CtrlRlError, atomic_write
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.study.curves import Curves
-from ctrl_rl_learning.study.run import Learning, Run, RunOptions
-from ctrl_rl_learning.study.run_folder import Progress, check_same, read_result, result_file
+from ctrl_rl_learning.study.run import Learning, Progress, Run, RunOptions, check_same, read_result, result_file
 
 UNUSABLE = (OSError, CtrlRlError, ValueError, LookupError, RuntimeError, TypeError, AttributeError)
 """Errors of a checkpoint that is damaged, or belongs to another learner."""

@@ -1,8 +1,8 @@
-from .array_file import load_arrays as load_arrays
-from .array_file import save_arrays as save_arrays
-from .learner_state import Arrays as Arrays
-from .learner_state import restore_state as restore_state
-from .learner_state import state_arrays as state_arrays
+from .checkpoints import Arrays as Arrays
+from .checkpoints import load_arrays as load_arrays
+from .checkpoints import restore_state as restore_state
+from .checkpoints import save_arrays as save_arrays
+from .checkpoints import state_arrays as state_arrays
 from .networks import ActorNetwork as ActorNetwork
 from .networks import Critics as Critics
 from .networks import linear_arrays as linear_arrays

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from ctrl_rl_core import Box, Disc, NavigationTask, Shape, find_robot
-from ctrl_rl_trials.barn.path_file import read_path
 from ctrl_rl_trials.barn.plugin_file import read_keyframes
-from ctrl_rl_trials.barn.world_file import WorldFile, read_world
+from ctrl_rl_trials.barn.world_file import WorldFile, read_path, read_world
 from ctrl_rl_trials.errors import TrialError
 
 STATIC, MOVING = 300, 60

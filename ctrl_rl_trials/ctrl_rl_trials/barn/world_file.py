@@ -1,19 +1,22 @@
-"""Worlds of BARN and DynaBARN: SDF files with upright cylinders and boxes, and the plugins that move some of them."""
+"""World and path files of the BARN challenge: SDF worlds, and lists of cells."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
 from ctrl_rl_core.io import FileError, as_text, raise_as, read_bytes
+from numpy.typing import NDArray
 
 from ctrl_rl_core import Box, Disc
 from ctrl_rl_trials.errors import TrialError
 
-_LARGEST = 20e6
+_LARGEST_WORLD = 20e6
 _FARTHEST = 1000.0
 _MOST = 10_000
 _UNQUOTED = re.compile(r"<pose frame=\s*>")
@@ -56,7 +59,7 @@ def read_world(path: Path) -> WorldFile:
         TrialError: The file is missing, is no SDF world, or has a model that is neither of these.
     """
     with raise_as(TrialError, path):
-        text = as_text(read_bytes(path, _LARGEST))
+        text = as_text(read_bytes(path, _LARGEST_WORLD))
         if "<!" in text.replace("<!--", ""):
             raise FileError("declares entities or a document type, which a world needs not")
         try:
@@ -113,3 +116,35 @@ def _numbers(element: ET.Element | None, count: int, name: str, positive: bool =
         what = "pose" if element is None else element.tag
         raise FileError(f"model '{name}': its {what} must be {count} {'positive ' if positive else ''}numbers")
     return values
+
+
+_LARGEST_PATH = 1e6
+_MOST_CELLS = 10_000
+_CELL = 0.15
+_ORIGIN = (-4.575, 5.075)
+"""Cell (i, j) of a path lies at _ORIGIN + _CELL (i, j) in the world [m] (function path_coord_to_gazebo_coord)."""
+
+
+def read_path(path: Path) -> NDArray[np.float64]:
+    """Return the places (n, 2) of a path file in the world [m].
+
+    Raises:
+        TrialError: The file is missing, or holds no list of cells.
+    """
+    with raise_as(TrialError, path):
+        content = read_bytes(path, _LARGEST_PATH)
+        try:
+            cells = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
+        except (ValueError, EOFError, OverflowError, MemoryError):
+            raise FileError("is no NumPy array of numbers") from None
+        if (
+            cells.ndim != 2
+            or cells.shape[1] != 2
+            or not 2 <= len(cells) <= _MOST_CELLS
+            or cells.dtype.kind not in "iuf"
+        ):
+            raise FileError("must hold the cells of a path, two numbers each")
+        cells = cells.astype(float)
+        if not (np.abs(cells) <= _MOST_CELLS).all():
+            raise FileError(f"has a cell beyond {_MOST_CELLS}, or one that is not finite")
+        return np.asarray(_ORIGIN + _CELL * cells, float)

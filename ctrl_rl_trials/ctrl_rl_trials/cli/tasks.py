@@ -54,7 +54,7 @@ def _hardness(options: Hardness) -> int:
 
 
 def _page(options: Page) -> int:
-    from ctrl_rl_trials.ladder.page import draw_pages
+    from ctrl_rl_trials.ladder.plots import draw_pages
 
     for picture in draw_pages([load_ladder_task(name) for name in LADDER], options.output):
         print(f"picture    {picture}")

@@ -27,11 +27,9 @@ from ttr_reward_node.training import StateReward
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.errors import TrialError
 from ctrl_rl_trials.ladder.task_list import load_ladder_task
-from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, fit_critic
-from ctrl_rl_trials.shaping.demonstrations import demonstrate, teach
-from ctrl_rl_trials.shaping.potential import DistanceInSeconds
+from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, demonstrate, fit_critic, teach
 from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
-from ctrl_rl_trials.shaping.time_to_go import TimeToGo
+from ctrl_rl_trials.shaping.time_to_go import DistanceInSeconds, TimeToGo
 from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Way
 from ttr_reward_node import TimeToReach, load_value, make_reward
 

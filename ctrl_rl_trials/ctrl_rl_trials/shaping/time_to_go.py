@@ -1,8 +1,9 @@
-"""MPC's time to go: the seconds to the goal that its trajectories take, looked up among their states."""
+"""Seconds to the goal other than the time to reach: by distance, and by MPC's trajectories."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,33 @@ from numpy.typing import NDArray
 from oc_baseline_node.problems import TIME_STEP_RANGE
 from scipy.spatial import KDTree
 
-from ctrl_rl_core import NavigationTask, Outcome, TaskSets, signed_distance
+from ctrl_rl_core import NavigationTask, Outcome, TaskSets, position_indices, signed_distance
 from ctrl_rl_trials.shaping.variants import GAMMA
 from oc_baseline_node import DataSettings, OptimalControlProblem, ValueData, formulate, load_data
 
 Array = NDArray[np.float64]
+_FLIGHT = 2.0
+"""Speed that a distance is divided by where no command is a speed [m/s]."""
+
+
+class DistanceInSeconds:
+    """The straight way to the middle of the goal at the robot's largest speed."""
+
+    def __init__(self, task: NavigationTask) -> None:
+        names = task.system.build().state_names
+        self._first, self._second = position_indices(names)
+        self._goal = task.goal.region.position
+        self._speed = max(map(abs, task.robot.commands["v"])) if "v" in task.robot.commands else _FLIGHT
+        corners = [
+            (x, y) for x in task.plane_bounds[names[self._first]] for y in task.plane_bounds[names[self._second]]
+        ]
+        self.longest = max(math.dist(corner, self._goal) for corner in corners) / self._speed
+
+    def times(self, states: Array) -> Array:  # noqa: D102 - see Potential
+        offset = states[:, [self._first, self._second]] - self._goal
+        return np.hypot(offset[:, 0], offset[:, 1]) / self._speed
+
+
 TRAJECTORIES = 300
 """Solved trajectories of a task, from random starts."""
 _STEPS = 100

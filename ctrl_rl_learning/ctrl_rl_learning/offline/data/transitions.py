@@ -35,9 +35,31 @@ from ctrl_rl_core.policies import ObservationBuilder
 from ctrl_rl_core.sensing import planar
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, OdometryReader, PolicyManifest, Sensors, task_digest, terminal_reward
+from ctrl_rl_core import (
+    NavigationTask,
+    OdometryReader,
+    PolicyManifest,
+    Sensors,
+    interface_of,
+    load_navigation_task,
+    task_digest,
+    terminal_reward,
+)
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.interface import sensed_interface
+
+
+def sensed_interface(task: NavigationTask) -> PolicyManifest:
+    """Return the interface of a task's policies, without the pose in a corridor.
+
+    Nothing in a corridor tells a robot where it is on the map: a bag's poses are for the value function alone, and the
+    policy drives by its scans and speeds.
+    """
+    interface = interface_of(task)
+    if task.corridor is None:
+        return interface
+    sensed = [part for part in interface.observation if part.source != "pose"]
+    return interface.model_copy(update={"observation": sensed})
+
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.float32]
@@ -206,3 +228,52 @@ class _Observer:
             states.append(self._state(odometry))
             command = columns[ACTION][row]
         return np.array(seen, dtype=np.float32), np.array(states)
+
+
+@dataclass(frozen=True)
+class RecordedDrives:
+    """Recorded drives of a task.
+
+    Attributes:
+        task: Task that was driven.
+        transitions: Observations, actions, rewards and what came of them, those of an episode in order.
+        bags: Names of the bags.
+    """
+
+    task: NavigationTask
+    transitions: Transitions
+    bags: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.transitions)
+
+
+def read_drives(
+    bags: Sequence[str | Path] | str | Path, task: NavigationTask | str | Path, robot: str = ""
+) -> RecordedDrives:
+    """Read bags of a task, each a folder that rosbag2 or the suite's recorder wrote.
+
+    >>> import ctrl_rl, tempfile, pathlib
+    >>> from ctrl_rl_learning.offline import ScriptedDriver, drive      # records without ROS
+    >>> task = ctrl_rl.load_task("car_navigation")
+    >>> bag = pathlib.Path(tempfile.mkdtemp()) / "bag"
+    >>> _ = drive(task, ScriptedDriver(task), episodes=2, seed=0, bag=bag)
+    >>> data = ctrl_rl.transitions([bag], task)
+    >>> data.transitions.episode_count
+    2
+
+    Args:
+        bags: Bags, or folders of runs with a bag in `bag`.
+        task: Task that was driven, its name or its file.
+        robot: Namespace of the topics.
+
+    Raises:
+        BagError: A bag cannot be read, or lacks scans, odometry or commands.
+        LearningError: Nothing in the bags is a transition.
+    """
+    if not isinstance(task, NavigationTask):
+        task = load_navigation_task(task)
+    paths = [Path(bag) for bag in ([bags] if isinstance(bags, str | Path) else bags)]
+    return RecordedDrives(
+        task, load_transitions(paths, task, TaskDriveOptions(robot=robot)), tuple(path.name for path in paths)
+    )

@@ -16,12 +16,17 @@ from ctrl_rl_core import Actor, NavigationTask
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.data.values import StateValues
-from ctrl_rl_learning.offline.evaluation.doubly_robust import episode_estimates, step_ratios
-from ctrl_rl_learning.offline.evaluation.fitted_q import PolicyValues, actions_of, fit_values
+from ctrl_rl_learning.offline.evaluation.estimators import (
+    PolicyValues,
+    actions_of,
+    episode_estimates,
+    fit_values,
+    step_ratios,
+)
 from ctrl_rl_learning.offline.evaluation.roll_outs import can_model, model_returns, replay_correlation
 from ctrl_rl_learning.offline.learners.learning import learn
 from ctrl_rl_learning.offline.learners.settings import LearningSettings
-from ctrl_rl_learning.study.estimates import Estimate, estimate
+from ctrl_rl_learning.study.results import Estimate, estimate
 
 Array = NDArray[np.float64]
 _LEAST_EPISODES = 10

@@ -17,11 +17,9 @@ from sim_bridge.engines import shape_row
 from sim_bridge.fleet import scans
 
 from ctrl_rl_core import Actor, NavigationTask, Outcome, TaskSets, drive_fleet, terminal_reward
-from ctrl_rl_learning.offline.data.dynamics import Dynamics, displacements_before, fit_dynamics
-from ctrl_rl_learning.offline.data.interface import sensed_interface
-from ctrl_rl_learning.offline.data.motion import displaced
-from ctrl_rl_learning.offline.data.transitions import Transitions
-from ctrl_rl_learning.offline.evaluation.fitted_q import actions_of
+from ctrl_rl_learning.offline.data.motion import Dynamics, displaced, displacements_before, fit_dynamics
+from ctrl_rl_learning.offline.data.transitions import Transitions, sensed_interface
+from ctrl_rl_learning.offline.evaluation.estimators import actions_of
 
 Array = NDArray[np.float64]
 _APART = 0.05

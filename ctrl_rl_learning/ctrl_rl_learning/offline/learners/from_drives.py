@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from ctrl_rl_core import Actor, ValueFunction
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.recorded import RecordedDrives
+from ctrl_rl_learning.offline.data.transitions import RecordedDrives
 from ctrl_rl_learning.offline.data.values import TIME_TO_REACH, StateValues, clearance_of, load_values
 from ctrl_rl_learning.offline.learners.learning import learn
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_VALUE, LearningSettings

@@ -1,29 +1,92 @@
-"""Learns a policy from transitions: scales, batches, updates, and the actor that comes out.
+"""Learns a policy from transitions: better commands by a value function, scales, batches and updates.
 
 actor = learn(transitions, task, LearningSettings("iql"))
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ctrl_rl_core import Actor, NavigationTask, task_digest
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.interface import sensed_interface
-from ctrl_rl_learning.offline.data.motion import fit_motion
-from ctrl_rl_learning.offline.data.transitions import Transitions
+from ctrl_rl_learning.offline.data.motion import MotionModel, fit_motion
+from ctrl_rl_learning.offline.data.transitions import Transitions, sensed_interface
 from ctrl_rl_learning.offline.data.values import StateValues
-from ctrl_rl_learning.offline.learners.batches import batches, scales_of
-from ctrl_rl_learning.offline.learners.improvement import improved_actions
 from ctrl_rl_learning.offline.learners.learners import LEARNERS, Batch
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.study.curves import Curves
 from ctrl_rl_learning.torch.networks import new_actor
+
+Vectors = NDArray[np.float32]
+_LEAST_UNIT = 1e-3
+
+
+def scales_of(observations: Vectors) -> tuple[Vectors, Vectors]:
+    """Return middle and unit (n,), (n,) of observations (N, n): mean and spread, so that inputs are of order 1."""
+    spread = observations.std(axis=0)
+    return observations.mean(axis=0), np.where(spread > _LEAST_UNIT, spread, 1.0).astype(np.float32)
+
+
+def batches(
+    tensors: tuple[Tensor, ...], size: int, count: int, random: np.random.Generator
+) -> Iterator[tuple[Tensor, ...]]:
+    """Yield `count` random batches of rows."""
+    rows = len(tensors[0])
+    for _ in range(count):
+        chosen = torch.from_numpy(random.integers(rows, size=size))
+        yield tuple(tensor[chosen] for tensor in tensors)
+
+
+Array = NDArray[np.float64]
+_CANDIDATES = 9  # of each of the two commands
+_AT_ONCE = 512
+
+
+def improved_actions(
+    states: Array, model: MotionModel, values: StateValues, temperature: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return better actions (N, 2), and where they are known (N,): not where every action ends too near to an obstacle.
+
+    An action is the mean of a grid of actions, weighted by exp(Q / temperature).
+    Q is reward and value of where the model says that a step ends, in units of the usual difference between the best
+    action of a state and the middle one. A soft maximum changes gradually from state to state, as a network can.
+
+    Args:
+        states: States x, y, theta (N, 3).
+        model: Model of the robot's motion in a step.
+        values: Value function that the actions are judged by.
+        temperature: Difference of Q that multiplies a weight by e.
+
+    Raises:
+        LearningError: They are known nowhere.
+    """
+    side = np.linspace(-1.0, 1.0, _CANDIDATES)
+    actions = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    worth = np.concatenate(
+        [_worth(states[first : first + _AT_ONCE], actions, model, values) for first in range(0, len(states), _AT_ONCE)]
+    )
+    best = worth.max(axis=1, keepdims=True)
+    known = best[:, 0] > worth.min()
+    if not known.any():
+        raise LearningError("the value function knows no way to the goal from where the bags drove: is it this task's?")
+    unit = max(float(np.median(best[known] - np.median(worth[known], axis=1, keepdims=True))), 1e-9)
+    weights = np.exp((worth - best) / (temperature * unit))
+    return weights @ actions / weights.sum(axis=1, keepdims=True), known
+
+
+def _worth(states: Array, actions: Array, model: MotionModel, values: StateValues) -> Array:
+    """Return Q (N, K) of each of K actions at each of N states."""
+    from_each = np.repeat(states, len(actions), axis=0)
+    each = np.tile(actions, (len(states), 1))
+    worth = values.after_step(model(from_each, each, 0.5), model(from_each, each))
+    return worth.reshape(len(states), len(actions))
+
 
 _POINTS = 100
 """Points of the curves."""

@@ -1,13 +1,8 @@
-"""A robot on topics as a Gymnasium environment.
-
-environment = RobotEnv(robot, task, interface, StepReward(task, value))
-observation, info = environment.reset(seed=1)
-observation, reward, terminated, truncated, info = environment.step(action)
-"""
+"""The robot as a Gymnasium environment, and the clock of its steps."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -19,7 +14,59 @@ from ctrl_rl_core import NavigationTask, Outcome, PolicyManifest
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.rewards import StateReader, StepReward
 from ctrl_rl_learning.on_robot.environment.robot import Driven, Robot, StepEnd
-from ctrl_rl_learning.on_robot.environment.step_clock import StepClock, StepTiming
+
+_ROUNDING_S = 1e-6
+
+
+class StepTiming(NamedTuple):
+    """The time that a step took.
+
+    Attributes:
+        duration: Time from the step's begin to its end [s].
+        late: Time by which it ended after it was due [s].
+        missed: Number of whole steps that passed without a decision.
+    """
+
+    duration: float
+    late: float
+    missed: int
+
+
+class StepClock:
+    """Steps of equal length on the robot's clock.
+
+    A step that ends a little late leaves the next one less time, so that steps do not drift. After a missed step the
+    next one begins anew: what was lost is not made up by short steps.
+
+    Attributes:
+        period: Length of a step [s].
+        due: Time at which the present step ends [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self._begun = 0.0
+        self.due = period
+
+    def begin(self, now: float) -> None:
+        """Begin the first step of an episode at a time [s]."""
+        self._begun, self.due = now, now + self.period
+
+    def end(self, now: float) -> StepTiming:
+        """End the present step at a time [s] and begin the next one.
+
+        Raises:
+            LearningError: The clock was set back.
+        """
+        duration = now - self._begun
+        if duration < 0.0:
+            raise LearningError(f"the clock went back by {-duration:.3f} s: was the simulator started anew?")
+        late = max(now - self.due, 0.0)
+        missed = int((late + _ROUNDING_S) / self.period)
+        self.due = now + self.period if missed else self.due + self.period
+        self._begun = now
+        return StepTiming(duration, late, missed)
+
 
 Vector = NDArray[np.float32]
 _FENCE_M = 0.5

@@ -32,9 +32,8 @@ from ctrl_rl_core import (
     read_goal,
 )
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator
+from ctrl_rl_learning.on_robot.environment.operator import JoyMapping, Operator, Tally
 from ctrl_rl_learning.on_robot.environment.robot import Driven, StepEnd
-from ctrl_rl_learning.on_robot.nodes.tally import Tally
 from ctrl_rl_msgs.msg import EpisodeStatus, SafetyStatus
 
 Array = NDArray[np.float64]
