@@ -190,12 +190,12 @@ def _go(
 
     Most steps do: for them this is `_place` and `_interpolate` in one, with hardly a branch.
     """
-    n, base, away = grid.n, np.int64(0), np.bool_(False)
+    n, base, away = grid.n, np.int64(0), 0
     for k in range(n):
         cells = np.int64(ends[node, p, k])
         lower, part = index[k] + (cells >> _BITS), cells & (PER_CELL - 1)
         count, ahead = grid.counts[k], grid.strides[k]
-        away |= (cells <= -PER_CELL) | (cells >= PER_CELL)
+        away += 1 if cells <= -PER_CELL or cells >= PER_CELL else 0
         if grid.periodic[k]:
             if lower < 0 or lower >= count:
                 lower %= count
@@ -212,7 +212,7 @@ def _go(
         base += lower * grid.strides[k]
         corners.sorted_ahead[k] = ahead if part > 0 else np.int64(0)
         corners.sorted_part[k] = (part << 3) | k
-    if not away:
+    if away == 0:
         return False, np.float32(0.0)
     for end in range(n - 1, 0, -1):
         for k in range(end):
