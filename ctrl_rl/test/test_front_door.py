@@ -92,3 +92,24 @@ def test_a_policy_learns_drives_and_is_saved(tmp_path):
 
 def test_a_quadrotor_flies_by_its_policy():
     assert len(ctrl_rl.drive("quad_ttr", "quad_ttr", seeds=range(2))) == 2
+
+
+class Straight:
+    """A driver of the test's own."""
+
+    def command(self, sensors):
+        assert sensors.goal is not None
+        return np.array((0.5, 0.0))
+
+
+def test_any_driver_and_any_filter_drive():
+    hits = ctrl_rl.drive("car_ttr", Straight(), seeds=range(2))
+    assert hits.collisions == 1.0
+    held = ctrl_rl.drive("car_ttr", Straight(), seeds=range(1), filter=lambda _, command: 0.0 * command)
+    assert held.outcomes == ("TIMEOUT",)
+    assert held.distances[0] < 0.01
+    guarded = ctrl_rl.drive("car_ttr", Straight(), seeds=range(2), filter="safety")
+    assert guarded.collisions == 0.0
+    assert (guarded.changed > 0.0).all()
+    with pytest.raises(ctrl_rl.CtrlRlError, match="object is no policy"):
+        ctrl_rl.drive("car_ttr", object())

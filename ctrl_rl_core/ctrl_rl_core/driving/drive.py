@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, overload
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,21 +116,10 @@ class Episode(Generic[Seen]):
         return np.array([step.info["state"] for step in self.trace])
 
 
-class Episodes(Sequence[Episode[Seen]]):
+class Episodes(tuple[Episode[Seen], ...]):
     """Episodes in the order of their seeds, and their facts as arrays of one element for each."""
 
-    def __init__(self, episodes: Iterable[Episode[Seen]]) -> None:
-        self._episodes = tuple(episodes)
-
-    @overload
-    def __getitem__(self, index: int) -> Episode[Seen]: ...
-    @overload
-    def __getitem__(self, index: slice) -> Episodes[Seen]: ...
-    def __getitem__(self, index: int | slice) -> Episode[Seen] | Episodes[Seen]:
-        return Episodes(self._episodes[index]) if isinstance(index, slice) else self._episodes[index]
-
-    def __len__(self) -> int:
-        return len(self._episodes)
+    __slots__ = ()
 
     def __repr__(self) -> str:
         counted = {name: self.outcomes.count(name) for name in sorted(set(self.outcomes))}
@@ -139,27 +128,27 @@ class Episodes(Sequence[Episode[Seen]]):
     @property
     def seeds(self) -> NDArray[np.int64]:
         """Seeds (N,)."""
-        return np.array([each.seed for each in self._episodes], dtype=np.int64)
+        return np.array([each.seed for each in self], dtype=np.int64)
 
     @property
     def outcomes(self) -> tuple[str, ...]:
         """Names of the outcomes: GOAL, COLLISION, TRAP or TIMEOUT (N,)."""
-        return tuple(each.outcome for each in self._episodes)
+        return tuple(each.outcome for each in self)
 
     @property
     def steps(self) -> NDArray[np.int64]:
         """Numbers of commands (N,)."""
-        return np.array([each.steps for each in self._episodes], dtype=np.int64)
+        return np.array([each.steps for each in self], dtype=np.int64)
 
     @property
     def returns(self) -> Array:
         """Undiscounted returns (N,)."""
-        return np.array([each.total for each in self._episodes], dtype=np.float64)
+        return np.array([each.total for each in self], dtype=np.float64)
 
     @property
     def changed(self) -> Array:
         """Parts of the commands that the filter changed (N,)."""
-        return np.array([each.changed for each in self._episodes], dtype=np.float64)
+        return np.array([each.changed for each in self], dtype=np.float64)
 
     @property
     def seconds(self) -> Array:
@@ -191,7 +180,7 @@ class Episodes(Sequence[Episode[Seen]]):
         return self.outcomes.count(outcome.name) / max(len(self), 1)
 
     def _told(self, name: str, kind: Any) -> NDArray[Any]:
-        return np.array([each.info[name] for each in self._episodes], dtype=kind)
+        return np.array([each.info[name] for each in self], dtype=kind)
 
 
 def drive(
