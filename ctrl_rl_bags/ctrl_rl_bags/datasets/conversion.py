@@ -9,19 +9,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ctrl_rl_core.io import raise_as, temporary_beside
 
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import DatasetError, Frames, Layout
+from ctrl_rl_bags.datasets.frames import DatasetError, Frames, Layout, read_own_info
 from ctrl_rl_bags.datasets.options import ExtractionOptions
 from ctrl_rl_bags.datasets.rebuilding import rebuild
+from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_bags.format.metadata import METADATA_FILE
 from ctrl_rl_bags.format.reader import bag_info
 
-FORMATS: Mapping[str, tuple[str, str]] = {"lerobot": ("lerobot_format", "pyarrow"), "minari": ("minari_format", "h5py")}
-"""Module of each format, and the package that it needs."""
+FORMATS: Mapping[str, tuple[str, str]] = {
+    "lerobot": ("meta/info.json", "pyarrow"),
+    "minari": ("data/metadata.json", "h5py"),
+}
+"""By name, the file that describes a dataset, and the package that the module `<name>_format` needs."""
 _LONGEST_NAME = 200
 
 
@@ -63,7 +67,7 @@ def export_bags(
     module = _module(kind)
     episodes = frames_written = 0
     with _new_folder(output) as folder:
-        writer = _writer(module, folder, layout, output.name)
+        writer = module.Writer(folder, layout, output.name)
         try:
             for frames in extract(bags, layout, options, found, tell):
                 writer.write(frames)
@@ -102,14 +106,22 @@ def read_dataset(folder: Path) -> tuple[Layout, Iterator[Frames]]:
     Raises:
         DatasetError: It is not such a dataset.
     """
-    marks = {"lerobot": "meta/info.json", "minari": "data/metadata.json"}
-    kind = next((kind for kind, mark in marks.items() if (folder / mark).is_file()), None)
+    kind = next((kind for kind, (info, _) in FORMATS.items() if (folder / info).is_file()), None)
     if kind is None:
-        raise DatasetError(f"{folder} is no dataset: it has neither {' nor '.join(marks.values())}")
+        raise DatasetError(
+            f"{folder} is no dataset: it has neither {' nor '.join(info for info, _ in FORMATS.values())}"
+        )
     module = _module(kind)
     with raise_as(DatasetError, folder):
-        layout = Layout.model_validate(module.read_info(folder).get("layout"))
-    return layout, module.read_frames(folder, layout)
+        layout = Layout.model_validate(read_own_info(folder / module.INFO).get("layout"))
+    return layout, _frames_of(module, folder, layout)
+
+
+def _frames_of(module: ModuleType, folder: Path, layout: Layout) -> Iterator[Frames]:
+    try:
+        yield from module.read_frames(folder, layout)
+    except module.FAULTS as error:
+        raise DatasetError(f"{module.CONTENT} cannot be read: {reason(error)}") from None
 
 
 def find_bag(run: Path) -> Path:
@@ -124,19 +136,12 @@ def count_messages(runs: Sequence[Path]) -> int:
 
 
 def _module(kind: str) -> ModuleType:
-    name, package = FORMATS[kind]
     try:
-        return importlib.import_module(f"ctrl_rl_bags.datasets.{name}")
+        return importlib.import_module(f"ctrl_rl_bags.datasets.{kind}_format")
     except ModuleNotFoundError:
         raise DatasetError(
-            f"the format {kind} needs {package}: python -m pip install -r requirements/datasets.txt"
+            f"the format {kind} needs {FORMATS[kind][1]}: python -m pip install -r requirements/datasets.txt"
         ) from None
-
-
-def _writer(module: ModuleType, folder: Path, layout: Layout, name: str) -> Any:
-    if hasattr(module, "LeRobotWriter"):
-        return module.LeRobotWriter(folder, layout, "quadrotor" if "Rotor" in layout.command else "differential_drive")
-    return module.MinariWriter(folder, layout, name)
 
 
 @contextmanager
@@ -150,8 +155,9 @@ def _new_folder(output: Path) -> Iterator[Path]:
         yield temporary
         temporary.rename(output)
     except OSError as error:  # of a full disk, which each library words in another way
-        reason = os.strerror(error.errno) if error.errno else error
-        raise DatasetError(f"{output} cannot be written: {reason}") from None
+        raise DatasetError(
+            f"{output} cannot be written: {os.strerror(error.errno) if error.errno else error}"
+        ) from None
     finally:
         with suppress(FileNotFoundError):
             shutil.rmtree(temporary)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,8 @@ from ctrl_rl_bags.datasets.frames import (
     Frames,
     Layout,
     own_info,
-    read_own_info,
 )
 from ctrl_rl_bags.datasets.statistics import Statistics
-from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write
 
 INFO, TASKS, STATS = "meta/info.json", "meta/tasks.parquet", "meta/stats.json"
@@ -43,20 +41,22 @@ _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FILE_MB, _CHUNK = 100, 1000
 _ROWS = 1000
 """Rows per write; pieces with pictures are smaller."""
+CONTENT, FAULTS = "its Parquet files", (pa.ArrowException, MemoryError, KeyError, TypeError, ValueError)
+"""What is read, and errors that tell its damage."""
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
-class LeRobotWriter:
+class Writer:
     """Writes one dataset into a folder.
 
     Args:
         folder: The dataset, which exists and is empty.
         layout: Layout of the frames.
-        robot: Type of the robot.
+        name: Name of the dataset, which this format does not keep.
     """
 
-    def __init__(self, folder: Path, layout: Layout, robot: str) -> None:
-        self._folder, self._layout, self._robot = folder, layout, robot
+    def __init__(self, folder: Path, layout: Layout, name: str) -> None:  # noqa: ARG002 - as all writers
+        self._folder, self._layout = folder, layout
         columns = layout.columns
         fields = [pa.field(name, _arrow_type(name, column)) for name, column in columns.items()]
         fields += [pa.field("timestamp", pa.float32()), *(pa.field(name, pa.int64()) for name in _COUNTERS[1:])]
@@ -109,7 +109,7 @@ class LeRobotWriter:
         rate = self._layout.rate
         info = {
             "codebase_version": "v3.0",
-            "robot_type": self._robot,
+            "robot_type": "quadrotor" if "Rotor" in self._layout.command else "differential_drive",
             "total_episodes": len(self._episodes),
             "total_frames": self._index,
             "total_tasks": 1,
@@ -169,28 +169,8 @@ class LeRobotWriter:
         return self._folder / _DATA.format(chunk_index=chunk, file_index=file)
 
 
-def read_info(folder: Path) -> Mapping[str, Any]:
-    """Return layout and sources of a dataset that `bag export` wrote.
-
-    Raises:
-        DatasetError: It has none.
-    """
-    return read_own_info(folder / INFO)
-
-
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    """Yield the frames of a dataset, a piece of an episode at a time.
-
-    Raises:
-        DatasetError: A file is damaged, or a column contradicts the layout.
-    """
-    try:
-        yield from _read_frames(folder, layout)
-    except (pa.ArrowException, MemoryError, KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"its Parquet files cannot be read: {reason(error)}") from None
-
-
-def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
+    """Yield the frames of a dataset, a piece of an episode at a time; raises DatasetError or one of `FAULTS`."""
     with _opened(folder / _EPISODES) as file:
         episodes = file.read(columns=["episode_index", "source"]).to_pylist()
     sources = {int(row["episode_index"]): int(row["source"]) for row in episodes}

@@ -34,14 +34,14 @@ from ctrl_rl_bags.datasets.frames import (
     Frames,
     Layout,
     own_info,
-    read_own_info,
 )
-from ctrl_rl_bags.format.checks import reason
 from ctrl_rl_core import atomic_write
 
-METADATA, DATA = "data/metadata.json", "data/main_data.hdf5"
+INFO, DATA = "data/metadata.json", "data/main_data.hdf5"
 VERSION = "0.5.4"
 """Version of Minari that defines this format."""
+CONTENT, FAULTS = DATA, (MemoryError, OSError, RuntimeError, KeyError, TypeError, ValueError)
+"""What is read, and errors that tell its damage."""
 _OBSERVATION = "observation."
 _INFOS = (STAMP, LOG_TIME, OUTCOME)
 _PIECE = 1000
@@ -86,7 +86,7 @@ class _Disk(io.FileIO):
             raise self.failure
 
 
-class MinariWriter:
+class Writer:
     """Writes one dataset into a folder.
 
     Args:
@@ -157,7 +157,7 @@ class MinariWriter:
             "dataset_size": round((self._folder / DATA).stat().st_size / 1e6, 1),
             **own_info(self._layout, sources),
         }
-        atomic_write(self._folder / METADATA, json.dumps(metadata, indent=1))
+        atomic_write(self._folder / INFO, json.dumps(metadata, indent=1))
 
     def abort(self) -> None:
         """Close the open file."""
@@ -166,28 +166,8 @@ class MinariWriter:
         self._disk.close()
 
 
-def read_info(folder: Path) -> Mapping[str, Any]:
-    """Return layout and sources of a dataset that `bag export` wrote.
-
-    Raises:
-        DatasetError: It has none.
-    """
-    return read_own_info(folder / METADATA)
-
-
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    """Yield the frames of a dataset, a piece of an episode at a time.
-
-    Raises:
-        DatasetError: The file is damaged, or an array contradicts the layout.
-    """
-    try:
-        yield from _read_frames(folder, layout)
-    except (MemoryError, OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{DATA} cannot be read: {reason(error)}") from None
-
-
-def _read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
+    """Yield the frames of a dataset, a piece of an episode at a time; raises DatasetError or one of `FAULTS`."""
     with open_file(folder / DATA, math.inf) as (_, size):  # it is no pipe, which would keep us waiting
         pass
     with limited_memory(MEMORY + 2 * size), h5py.File(folder / DATA, "r") as file:
