@@ -41,7 +41,7 @@ _CUT = 0.985  # w of a node that the first phase leaves standing: with CROSSINGS
 CROSSINGS = 100.0
 """1 / lambda, in crossings of the grid."""
 _SLOWER = 100.0  # factor by which time costs less where it is told apart from ways that do not arrive
-_FEW = 0.005  # of the nodes: fewer that were missed lie along an edge
+_FEW = 0.05  # of the nodes: fewer that were missed lie along an edge
 _FLAT, _FAINT = 0.05, 1e-6  # change of ln w from a node to the next, and w, where a long way may have made it small
 
 

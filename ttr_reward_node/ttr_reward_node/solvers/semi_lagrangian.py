@@ -35,7 +35,7 @@ def solve(
     problem: TimeToReachProblem,
     *,
     tolerance: float | None = None,
-    max_sweeps: int = 300,
+    max_sweeps: int = 1000,
     progress: Progress | None = None,
     device: str = CPU,
 ) -> SweepResult:
