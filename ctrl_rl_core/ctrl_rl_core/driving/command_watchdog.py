@@ -91,6 +91,7 @@ class CommandWatchdog(SuiteNode):
         self._stamp_lag_ns = 0
         self._said_silent = True
         self._rivals: tuple[str, ...] = ()
+        self._senders: tuple[str, ...] = ()
         self._kind = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         self._output = self.create_publisher(kind, channel.topic, COMMAND)
         self._others = Rivals(self, kind, channel.topic, self._send_rest) if channel.alone else None
@@ -111,8 +112,8 @@ class CommandWatchdog(SuiteNode):
             "last command [s]": "none yet" if age is None else f"{age:.2f}",
             "timeout [s]": self.settings["timeout"],
         }
-        rivals = self._look_around()
-        figures["other publishers"] = ", ".join(rivals)
+        rivals, senders = self._look_around(), self._look_at_senders()
+        figures |= {"other publishers": ", ".join(rivals), "senders": ", ".join(senders)}
         problems = [f"{', '.join(rivals)} publishes on {self._output.topic_name} too"] if rivals else []
         if self._refusal:
             problems.append(f"{self._channel.rest} instead of a command: {self._refusal}")
@@ -212,6 +213,17 @@ class CommandWatchdog(SuiteNode):
             )
         self._rivals = rivals
         return rivals
+
+    def _look_at_senders(self) -> tuple[str, ...]:
+        """Return who publishes on the input; log them when there come to be several: each may move the robot.
+
+        It is no fault yet: one that was killed counts until the middleware misses it.
+        """
+        senders = self.other_publishers(self._input.topic_name)
+        if senders != self._senders and len(senders) > 1:
+            self.get_logger().warning(f"{', '.join(senders)} all send on {self._input.topic_name}: one should")
+        self._senders = senders
+        return senders
 
     def _wrong_type(self) -> str:
         wrong = self.publishers_of_other_types(self._input.topic_name, self._kind)
