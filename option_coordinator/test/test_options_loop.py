@@ -8,8 +8,8 @@ from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.data.team_bag import TeamBag
 from option_coordinator.environments.tasks import make_environment
 from option_coordinator.policies.policy_file import OptionPolicy
-from option_coordinator.training.cli.loop import loop
-from option_coordinator.training.cli.offline import evaluate_offline as judge
+from option_coordinator.training.cli.learning import evaluate_offline as judge
+from option_coordinator.training.cli.learning import loop
 from option_coordinator.training.experiments.bag_runs import BagRun
 from option_coordinator.training.experiments.closed_loop import CarelessScript, play
 from option_coordinator.training.experiments.offline_evaluation import evaluate_offline

@@ -1,30 +1,32 @@
-"""The commands `train`, `evaluate` and `plot`: learning joint options, in simulation or from bags."""
+"""The commands `train`, `evaluate`, `plot`, `loop` and `evaluate_offline`: learning joint options."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
-from ctrl_rl_core.command import FolderToWrite
+from ctrl_rl_core.command import FolderToWrite, NotNegative, OptionalFileToWrite, Positive, make_command
+from ctrl_rl_core.io import as_lines
 from ctrl_rl_learning.cli import EvaluateOptions, report
 from ctrl_rl_learning.study import (
     ExperimentOptions,
     PlotOptions,
-    Positive,
-    make_command,
     make_old_command,
     one_of,
     some_of,
     train_and_collect,
 )
+from tqdm import tqdm
 
-from ctrl_rl_core import CommandError
+from ctrl_rl_core import CommandError, Result, write_results
 from option_coordinator.cli import ReplayOptions, prepare_replay
+from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
-from option_coordinator.policies.policy_file import HEADS, OptionPolicy
+from option_coordinator.policies.policy_file import HEADS, OptionPolicy, policy_file
 from option_coordinator.training.experiments.methods import METHODS
 
 ITERATIONS = 25
@@ -140,3 +142,131 @@ evaluate = make_command("evaluate", EvaluateOptions, _evaluate)
 train = make_command("train", Train, _train, _METHODS)
 plot = make_command("plot", PlotOptions, _figures)
 training_figures = make_old_command("training_figures", "plot", plot)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopOptions:
+    """Close the loop: learn a policy from a careless script's bags, the next from all bags so far, and compare them.
+
+    After Ctrl-C the next call continues where it stopped; the results then hold the runs so far.
+    """
+
+    tasks: tuple[str, ...] = ("tool_delivery",)
+    """Team tasks: names from the suite, or task files."""
+    seeds: Positive = 5
+    """Number of seeds, counted from 0."""
+    rounds: Positive = 3
+    """Rounds after the script's."""
+    episodes: Positive = 100
+    """Episodes that each round records."""
+    tests: Positive = 50
+    """Evaluation episodes per round."""
+    careless: float = 0.5
+    """Probability that the script takes any legal option."""
+    folder: FolderToWrite = Path("runs/options_loop")
+    """Folder of the runs; each goes on there where it was cut off."""
+    results: OptionalFileToWrite = None
+    """JSON file to write return and success of each round to."""
+
+
+def _loop(options: LoopOptions) -> int:
+    if not 0.0 <= options.careless <= 1.0:
+        raise CommandError(f"--careless must be a probability, 0 to 1, not {options.careless:g}")
+    tasks = [load_option_task(task).name for task in options.tasks]
+    from option_coordinator.training.experiments.closed_loop import LoopSettings, run_loop
+
+    found: dict[str, list[list[dict[str, Any]]]] = {}
+    try:
+        for seed in range(options.seeds):
+            for named, task in zip(options.tasks, tasks, strict=True):
+                settings = LoopSettings(options.rounds, options.episodes, options.tests, options.careless, seed)
+                run = f"{task}-s{seed}"
+                rounds = run_loop(
+                    named,
+                    options.folder / run,
+                    settings,
+                    lambda line, run=run: print(f"{run}: {line}"),  # type: ignore[misc]
+                )
+                found.setdefault(task, []).append(rounds)
+    finally:
+        rows = _rows(found)
+        print(as_lines(rows))
+        if rows and options.results is not None:
+            write_results(options.results, "options_loop", range(options.seeds), rows)
+            print(f"results    {options.results}")
+    return 0
+
+
+def _rows(found: dict[str, list[list[dict[str, Any]]]]) -> list[Result]:
+    """Return figures of each round, one number a seed."""
+    rows = []
+    for task, runs in found.items():
+        for number in range(len(runs[0])):
+            name = f"{task}: weighted imitation, round {number}" if number else f"{task}: careless script"
+            for metric, key, unit in (
+                ("return", "return", "1"),
+                ("success", "terminated", "1"),
+                ("steps", "steps", "1"),
+            ):
+                rows.append(Result(name, metric, unit, [float(rounds[number][key]) for rounds in runs]))
+            if all("predicted" in rounds[number] for rounds in runs):  # runs of before there was a prediction have none
+                predicted = [float(rounds[number]["predicted"]["mean"]) for rounds in runs]
+                rows.append(Result(name, "predicted, discounted", "1", predicted))
+                rows.append(Result(name, "called better", "1", [float(rounds[number]["better"]) for rounds in runs]))
+    return rows
+
+
+loop = make_command("loop", LoopOptions, _loop)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfflineOptions:
+    """Predict a joint policy's return from bags, with 95 % intervals, and tell whether it may be called better.
+
+    Exits with 1 if the bags do not show that the policy is better than their deciders.
+    """
+
+    bags: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="BAG [BAG ...]")]
+    """Bags with `joint_option_step`."""
+    policy: str
+    """Joint policy: a file, or the name of one that ships."""
+    updates: Positive = 1500
+    """Number of updates of each fit."""
+    fits: Positive = 3
+    """Number of fits; their spread is part of the intervals."""
+    seed: NotNegative = 0
+    """Seed of fits, draws and resampling."""
+    results: OptionalFileToWrite = None
+    """JSON file to write the estimates to."""
+
+
+def _evaluate_offline(options: OfflineOptions) -> int:
+    policy = OptionPolicy.load(policy_file(options.policy))
+    from option_coordinator.training.experiments.offline_evaluation import evaluate_offline as judge
+
+    found = [recording for bag in options.bags for recording in recordings(bag)]
+    with tqdm(total=options.fits * options.updates, desc="evaluating", unit="update", disable=None) as bar:
+        report = judge(found, policy, updates=options.updates, fits=options.fits, seed=options.seed, tell=bar.update)
+    estimates = {"deciders of the bags": report.driver, "fitted Q evaluation": report.policy, "gain": report.gain}
+    print(f"{'discounted return':<22} mean       95 % interval, {report.episodes} episodes")
+    for name, estimate in estimates.items():
+        print(f"{name:<22} {estimate}")
+    if options.results is not None:
+        rows = [
+            Result(Path(options.policy).name, f"{name}{end}", "1", [getattr(estimate, key)])
+            for name, estimate in estimates.items()
+            for key, end in (("mean", ""), ("low", ", low"), ("high", ", high"))
+        ]
+        write_results(options.results, "evaluate_offline_team", [options.seed], rows, {"better": report.better})
+        print(f"results    {options.results}")
+    if report.better:
+        print("verdict    better than who decided in the bags")
+        return 0
+    print(
+        f"evaluate_offline: not called better: the gain is {report.gain.low:.3f} to {report.gain.high:.3f}",
+        file=sys.stderr,
+    )
+    return 1
+
+
+evaluate_offline = make_command("evaluate_offline", OfflineOptions, _evaluate_offline)

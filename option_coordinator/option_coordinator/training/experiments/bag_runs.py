@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from ctrl_rl_learning.study import Point, Run, RunOptions, Tell
+from ctrl_rl_learning.study import IterationMetrics, ProgressCallback, Run, RunOptions
 
 from option_coordinator.data.bag_trajectory import Recording, TeamLayout, recordings
 from option_coordinator.data.trajectory import OptionTrajectory
@@ -180,7 +180,7 @@ class BagRun(Run):
             raise OptionError(f"task '{self.task_name}' is for other robots than {self.start}")
         return environment
 
-    def terms(self, options: RunOptions) -> dict[str, Any]:
+    def fingerprint(self, options: RunOptions) -> dict[str, Any]:
         """Return what the run depends on: data, policy and settings."""
         return {
             "way": self.way,
@@ -196,17 +196,17 @@ class BagRun(Run):
         }
 
     @contextmanager
-    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+    def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
         """Yield the learner."""
-        yield _Learning(self, options, self.learner())
+        yield _Trainer(self, options, self.learner())
 
-    def words(self, point: Point) -> str:
+    def words(self, point: IterationMetrics) -> str:
         """Return the figures of the iteration."""
         return ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items())
 
 
-class _Learning(Checkpoints):
-    """A learner as a `Learning`."""
+class _Trainer(Checkpoints):
+    """A learner as a `Trainer`."""
 
     def __init__(self, run: BagRun, options: RunOptions, learner: Learner) -> None:
         self._run = run
@@ -214,7 +214,7 @@ class _Learning(Checkpoints):
         self._learner = learner
         self._judged_before = self._judge()
 
-    def iterate(self, curve: Sequence[Point], /) -> Point:
+    def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
         """Go through the data; before the first time, learn what its states are worth."""
         generator = np.random.default_rng((self._run.seed, len(curve)))
         torch.manual_seed(int(generator.integers(2**31)))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from ctrl_rl_learning.study import Point, Run, RunOptions, Tell, find_method
+from ctrl_rl_learning.study import IterationMetrics, ProgressCallback, Run, RunOptions, find_method
 from ctrl_rl_learning.torch import load_arrays, restore_state, save_arrays, state_arrays
 
 from ctrl_rl_core import task_digest
@@ -35,7 +35,7 @@ _MEMORY = "memory."
 
 
 class Checkpoints:
-    """Saves and loads the learner of a `Learning`."""
+    """Saves and loads the learner of a `Trainer`."""
 
     _learner: Learner
 
@@ -157,7 +157,7 @@ class OptionRun(Run):
             manifest={**self.description, **figures},
         )
 
-    def terms(self, options: RunOptions) -> dict[str, Any]:
+    def fingerprint(self, options: RunOptions) -> dict[str, Any]:
         """Return description and settings."""
         return {
             **self.description,
@@ -169,25 +169,25 @@ class OptionRun(Run):
         }
 
     @contextmanager
-    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+    def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
         """Yield the learner."""
-        yield _Learning(self, options, self.learner())
+        yield _Trainer(self, options, self.learner())
 
-    def words(self, point: Point) -> str:
+    def words(self, point: IterationMetrics) -> str:
         """Return the mean return of the iteration's episodes."""
         returned = point["learning"].get("return")
         return "" if returned is None else f"return {returned:.0f}"
 
 
-class _Learning(Checkpoints):
-    """A learner as a `Learning`."""
+class _Trainer(Checkpoints):
+    """A learner as a `Trainer`."""
 
     def __init__(self, run: OptionRun, options: RunOptions, learner: Learner) -> None:
         self._run = run
         self._options = options
         self._learner = learner
 
-    def iterate(self, curve: Sequence[Point], /) -> Point:
+    def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
         """Learn from fresh episodes, in batches of about the same size; an iteration takes up what others overshot."""
         run, learner, done = self._run, self._learner, len(curve)
         taken = int(curve[-1]["samples"]) if curve else 0
