@@ -4,7 +4,7 @@ import numpy as np
 from ctrl_rl_learning.cli.teach import teach
 from ctrl_rl_learning.dagger import run as teaching_run
 from ctrl_rl_learning.dagger.episode import corridor_interface, drive_labelled
-from ctrl_rl_learning.dagger.run import Lessons, TaughtRun
+from ctrl_rl_learning.dagger.run import DaggerTrainer, TaughtRun
 from ctrl_rl_learning.study.run import RunOptions
 
 from ctrl_rl_core import Outcome, load_navigation_task, load_policy
@@ -38,7 +38,7 @@ def test_a_run_goes_on_from_its_checkpoint_as_if_it_had_not_ended(tmp_path, monk
         curve = [whole.iterate([])]
         whole.save(tmp_path / "checkpoint", {"curve": curve})
         point = whole.iterate(curve)
-    later = Lessons(TASK, 0, options)
+    later = DaggerTrainer(TASK, 0, options)
     assert later.load(tmp_path / "checkpoint") == {"curve": curve}
     assert later.iterate(curve) == point
     figures = later.finish(tmp_path)

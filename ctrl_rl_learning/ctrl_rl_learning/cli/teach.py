@@ -20,8 +20,8 @@ _FINAL_EVALUATIONS = 40
 class Teach(ExperimentOptions):
     """Teach policies to drive a corridor by lidar alone, and go on where an earlier call was cut off.
 
-    The teacher knows walls and partitions and drives by the time to reach. The pupil sees a scan and its speeds; it
-    drives, and learns at each scan what the teacher would do there. Each episode has another corridor, and another
+    The expert knows walls and partitions and drives by the time to reach. The student sees a scan and its speeds; it
+    drives, and learns at each scan what the expert would do there. Each episode has another corridor, and another
     robot where the task gives ranges. It is learnt in the planar engine: `ros2 run ctrl_rl_bringup transfer` drives the
     policies in PyBullet and MuJoCo.
     """

@@ -1,4 +1,4 @@
-"""The teacher of a corridor: the optimal control of the time to reach, on the true map of an episode."""
+"""The expert of a corridor: the optimal control of the time to reach, on the true map of an episode."""
 
 from __future__ import annotations
 

@@ -20,69 +20,72 @@ from ctrl_rl_core import NavigationTask, Outcome, Result, load_navigation_task, 
 from ctrl_rl_learning.dagger.episode import LabelledSample, corridor_interface, drive_labelled
 from ctrl_rl_learning.dagger.student import Student
 from ctrl_rl_learning.study.results import as_table, collect_rows, curves_of, finished_runs, metric
-from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
+from ctrl_rl_learning.study.run import IterationMetrics, ProgressCallback, Run, RunOptions
 from ctrl_rl_learning.torch.checkpoints import load_arrays, restore_state, save_arrays, state_arrays
 
 _UPDATES = 1500
 _LAST_UPDATES = 10_000
 _SEEDS = 1_000_000
 """Distance between the seeds of two runs; episodes of a test begin at 0."""
-_TEACHER = 0.2
-"""Share of the lessons after the first iteration in which the teacher drives."""
+_EXPERT_SHARE = 0.2
+"""Share of the episodes after the first iteration in which the expert drives."""
 
 
-class Lessons:
-    """The learner of one run: all moments so far, and the pupil."""
+class DaggerTrainer:
+    """The learner of one run: all samples so far, and the student."""
 
     def __init__(self, task: NavigationTask, seed: int, options: RunOptions) -> None:
         self._task, self._seed, self._options = task, seed, options
         self._interface = corridor_interface(task)
         torch.manual_seed(seed)
-        self._pupil = Student(self._interface)
+        self._student = Student(self._interface)
         self._seen = np.empty((0, self._interface.size), np.float32)
         self._wanted = np.empty((0, 2), np.float32)
         self._episodes = 0
 
-    def iterate(self, curve: Sequence[Point]) -> Point:
-        """Drive lessons, the first ones by the teacher alone, and learn from all so far."""
+    def iterate(self, curve: Sequence[IterationMetrics]) -> IterationMetrics:
+        """Drive episodes, the first ones by the expert alone, and learn from all so far."""
         random = np.random.default_rng((self._seed, len(curve)))
-        moments: list[LabelledSample] = []
+        samples: list[LabelledSample] = []
         ends = []
-        while len(moments) < self._options.samples:
-            taught = not curve or random.random() < _TEACHER
-            seed, student = self._seed * _SEEDS + _SEEDS // 2 + self._episodes, None if taught else self._pupil.command
+        while len(samples) < self._options.samples:
+            taught = not curve or random.random() < _EXPERT_SHARE
+            seed, student = (
+                self._seed * _SEEDS + _SEEDS // 2 + self._episodes,
+                None if taught else self._student.command,
+            )
             episode = drive_labelled(self._task, self._interface, seed, student)
             self._episodes += 1
-            moments += episode.samples
+            samples += episode.samples
             if not taught or not curve:
                 ends.append(episode.outcome == Outcome.GOAL.name)
-        self._seen = np.concatenate((self._seen, [each.observation for each in moments]))
-        self._wanted = np.concatenate((self._wanted, [each.wanted for each in moments]), dtype=np.float32)
+        self._seen = np.concatenate((self._seen, [each.observation for each in samples]))
+        self._wanted = np.concatenate((self._wanted, [each.wanted for each in samples]), dtype=np.float32)
         loss = self._learn(_UPDATES, random)
         return {"samples": len(self._seen), "evaluation": float(np.mean(ends)), "loss": loss}
 
     def _learn(self, updates: int, random: np.random.Generator) -> float:
-        return self._pupil.fit(self._seen, self._wanted, updates, random)
+        return self._student.fit(self._seen, self._wanted, updates, random)
 
     def save(self, path: Path, progress: Mapping[str, Any]) -> None:
         """Write a checkpoint."""
         arrays: dict[str, NDArray[Any]] = {"seen": self._seen, "wanted": self._wanted}
-        arrays |= state_arrays({"student": self._pupil.network}, {"optimizer": self._pupil.optimizer})
+        arrays |= state_arrays({"student": self._student.network}, {"optimizer": self._student.optimizer})
         save_arrays(path, arrays, {"episodes": self._episodes, "progress": dict(progress)})
 
     def load(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint and return its progress."""
         arrays, header = load_arrays(path)
         self._seen, self._wanted, self._episodes = arrays.pop("seen"), arrays.pop("wanted"), int(header["episodes"])
-        restore_state({"student": self._pupil.network}, {"optimizer": self._pupil.optimizer}, arrays)
+        restore_state({"student": self._student.network}, {"optimizer": self._student.optimizer}, arrays)
         progress: dict[str, Any] = header["progress"]
         return progress
 
     def finish(self, folder: Path) -> dict[str, Any]:
-        """Learn longer from all moments, write the policy, and count how often it arrives in new episodes."""
+        """Learn longer from all samples, write the policy, and count how often it arrives in new episodes."""
         loss = self._learn(_LAST_UPDATES, np.random.default_rng((self._seed, _SEEDS)))
         ends = [
-            drive_labelled(self._task, self._interface, seed, self._pupil.command).outcome
+            drive_labelled(self._task, self._interface, seed, self._student.command).outcome
             for seed in range(self._options.final_evaluations)
         ]
         success = float(np.mean([end == Outcome.GOAL.name for end in ends]))
@@ -94,7 +97,7 @@ class Lessons:
             "samples": len(self._seen),
             "success": success,
         }
-        self._pupil.actor(manifest).save(folder / "policy.safetensors")
+        self._student.actor(manifest).save(folder / "policy.safetensors")
         collisions = float(np.mean([end == Outcome.COLLISION.name for end in ends]))
         return {"success": success, "collisions": collisions, "loss": loss}
 
@@ -122,11 +125,11 @@ class TaughtRun(Run):
         return f"{self.task.name}-taught-s{self.seed}"
 
     @contextmanager
-    def begin(self, options: RunOptions, tell: Tell) -> Iterator[Lessons]:  # noqa: ARG002 - one iteration is short
-        """Return the learner before its first lesson."""
-        yield Lessons(self.task, self.seed, options)
+    def begin(self, options: RunOptions, tell: ProgressCallback) -> Iterator[DaggerTrainer]:  # noqa: ARG002 - one iteration is short
+        """Return the learner before its first episode."""
+        yield DaggerTrainer(self.task, self.seed, options)
 
-    def terms(self, options: RunOptions) -> Mapping[str, Any]:
+    def fingerprint(self, options: RunOptions) -> Mapping[str, Any]:
         """Return what must stay the same for a run to go on."""
         return {
             "task_digest": task_digest(self.task),
@@ -135,8 +138,8 @@ class TaughtRun(Run):
             "final_evaluations": options.final_evaluations,
         }
 
-    def words(self, point: Point) -> float | str:
-        """Return the success of the pupil's own drives before it learnt from them."""
+    def words(self, point: IterationMetrics) -> float | str:
+        """Return the success of the student's own drives before it learnt from them."""
         return float(point["evaluation"])
 
 

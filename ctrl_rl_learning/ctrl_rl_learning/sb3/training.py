@@ -33,7 +33,7 @@ from ctrl_rl_learning.sb3.checkpoint import load_checkpoint, save_checkpoint
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE, SUCCESS, Environment, evaluate, observation_names
 from ctrl_rl_learning.sb3.fleet import FleetEnvironments, FleetReward, evaluate_in_fleet
 from ctrl_rl_learning.sb3.records import Visits, entropy_of, listen
-from ctrl_rl_learning.study.run import Point, Run, RunOptions, Tell
+from ctrl_rl_learning.study.run import IterationMetrics, ProgressCallback, Run, RunOptions
 
 Tester = Callable[[Actor, int, int], Sequence[Episode[Any]]]
 """Returns so many episodes of a policy, from a seed and those that follow it."""
@@ -117,28 +117,28 @@ class SimulatedRun(Run):
         """Return more figures for a point of the curve, as JSON; called after each iteration."""
         return {}
 
-    def terms(self, _: RunOptions) -> dict[str, Any]:
+    def fingerprint(self, _: RunOptions) -> dict[str, Any]:
         """Return description and digest of the task."""
         return {**self.description, "task_digest": task_digest(self.task)}
 
-    def words(self, point: Point) -> float:
+    def words(self, point: IterationMetrics) -> float:
         """Return the success rate of the evaluation."""
         return float(point["evaluation"])
 
     @contextmanager
-    def begin(self, options: RunOptions, _: Tell) -> Iterator[_Learning]:
+    def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
         """Yield the learner with its environments."""
         model = self.model(options.samples * options.iterations)
         try:
             with self.tester() as test:
-                yield _Learning(self, options, model, test)
+                yield _Trainer(self, options, model, test)
         finally:
             if model.env is not None:
                 model.env.close()
 
 
-class _Learning:
-    """An algorithm of Stable-Baselines3 as a `Learning`."""
+class _Trainer:
+    """An algorithm of Stable-Baselines3 as a `Trainer`."""
 
     def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test: Tester) -> None:
         self._run = run
@@ -147,7 +147,7 @@ class _Learning:
         self._test = test
         self._visits, self._logger = Visits(run.task), listen(model)
 
-    def iterate(self, curve: Sequence[Point], /) -> Point:
+    def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
         run, model, options = self._run, self._model, self._options
         outcomes = _iterate(model, _seed_of(run.seed, len(curve)), options.samples, self._visits)
         losses = self._logger.take() | entropy_of(model)
@@ -176,7 +176,7 @@ class _Learning:
         """Evaluate at the rate of the deployed robots, and write policy and visits."""
         run = self._run
         manifest = {
-            **run.terms(self._options),
+            **run.fingerprint(self._options),
             "observation": observation_names(run.task),
             "commands": list(run.task.robot.commands),
         }

@@ -30,10 +30,10 @@ from .results import metric as metric
 from .results import metrics_of_speed as metrics_of_speed
 from .results import read_figures as read_figures
 from .results import samples_to as samples_to
-from .run import Point as Point
+from .run import IterationMetrics as IterationMetrics
+from .run import ProgressCallback as ProgressCallback
 from .run import Run as Run
 from .run import RunOptions as RunOptions
-from .run import Tell as Tell
 from .run import check_same as check_same
 from .run import find_method as find_method
 from .run import result_file as result_file

@@ -14,9 +14,9 @@ from pydantic import ConfigDict, Field, field_validator
 
 from ctrl_rl_learning.errors import LearningError
 
-Point = dict[str, Any]
+IterationMetrics = dict[str, Any]
 """Figures of one iteration of a curve, as JSON."""
-Tell = Callable[[int, "float | str"], None]
+ProgressCallback = Callable[[int, "float | str"], None]
 """Takes the iterations done, and a success rate or other words on how a run goes. It may be called more than once for
 an iteration, where something else takes long."""
 
@@ -40,10 +40,10 @@ class RunOptions:
     final_evaluations: int = 0
 
 
-class Learning(Protocol):
+class Trainer(Protocol):
     """A learner between two iterations."""
 
-    def iterate(self, curve: Sequence[Point], /) -> Point:
+    def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
         """Learn for one iteration more than the curve has and return its figures."""
 
     def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
@@ -69,21 +69,21 @@ class Run(ABC):
         """Name of the run and of its folder."""
 
     @abstractmethod
-    def begin(self, options: RunOptions, tell: Tell) -> AbstractContextManager[Learning]:
+    def begin(self, options: RunOptions, tell: ProgressCallback) -> AbstractContextManager[Trainer]:
         """Return the learner as it is before the first iteration; it is closed at the end."""
 
     @abstractmethod
-    def terms(self, options: RunOptions) -> Mapping[str, Any]:
+    def fingerprint(self, options: RunOptions) -> Mapping[str, Any]:
         """Return all that must stay the same for a run to go on, as JSON.
 
-        A run whose terms do not name `iterations` may go on to more of them after it was cut off.
+        A run whose fingerprint does not name `iterations` may go on to more of them after it was cut off.
         """
 
     @abstractmethod
-    def words(self, point: Point) -> float | str:
+    def words(self, point: IterationMetrics) -> float | str:
         """Return a success rate, or words, on how an iteration went."""
 
-    def should_stop(self, curve: Sequence[Point]) -> bool:  # noqa: ARG002 - for those that override it
+    def should_stop(self, curve: Sequence[IterationMetrics]) -> bool:  # noqa: ARG002 - for those that override it
         """Return whether learning ends before all iterations are done."""
         return False
 

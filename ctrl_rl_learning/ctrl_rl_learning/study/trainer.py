@@ -20,20 +20,20 @@ from pydantic import ValidationError
 from ctrl_rl_core import CtrlRlError, atomic_write
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.study.curves import Curves
-from ctrl_rl_learning.study.run import Learning, Progress, Run, RunOptions, check_same, read_result, result_file
+from ctrl_rl_learning.study.run import Progress, Run, RunOptions, Trainer, check_same, read_result, result_file
 
 UNUSABLE = (OSError, CtrlRlError, ValueError, LookupError, RuntimeError, TypeError, AttributeError)
 """Errors of a checkpoint that is damaged, or belongs to another learner."""
 AnyRun = TypeVar("AnyRun", bound=Run)
 Report = Callable[[AnyRun, int, float | str], None]
-"""Takes a run and, like `run.Tell`, how far it is."""
+"""Takes a run and, like `run.ProgressCallback`, how far it is."""
 
 
 def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: None) -> dict[str, Any]:
     """Learn, or go on where an earlier call was cut off; read a finished run instead of learning it again.
 
     The folder of the run then holds result.json, which is returned, its curves (see `curves`), and what
-    `Learning.finish` writes. A finished run
+    `Trainer.finish` writes. A finished run
     keeps no checkpoint, which is large with a replay: it cannot be made longer.
 
     Args:
@@ -42,8 +42,8 @@ def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: 
         report: Function that is called after each iteration, and where a run goes on.
 
     Returns:
-        `run` (its terms), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures that
-        `Learning.finish` returned, and `cpu_seconds` of all of it.
+        `run` (its fingerprint), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures that
+        `Trainer.finish` returned, and `cpu_seconds` of all of it.
 
     Raises:
         LearningError: The folder holds another run, one of other iterations, or something damaged.
@@ -52,7 +52,7 @@ def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: 
     import torch  # takes seconds: not before a command's options are right
 
     torch.set_num_threads(1)
-    terms = json.loads(json.dumps(run.terms(options)))
+    terms = json.loads(json.dumps(run.fingerprint(options)))
     finished = result_file(options.folder, run)
     if finished.is_file():
         result = read_result(finished)
@@ -103,7 +103,7 @@ def _learn(
     return result
 
 
-def _load(learning: Learning, checkpoint: Path) -> Progress:
+def _load(learning: Trainer, checkpoint: Path) -> Progress:
     with raise_as(LearningError, checkpoint, "cannot go on from it, delete it to begin anew"):
         try:
             return Progress.model_validate(learning.load(checkpoint))

@@ -30,7 +30,7 @@ from ctrl_rl_trials.ladder.task_list import load_ladder_task
 from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, demonstrate, fit_critic, teach
 from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
 from ctrl_rl_trials.shaping.time_to_go import DistanceInSeconds, TimeToGo
-from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Way
+from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Variant
 from ttr_reward_node import TimeToReach, load_value, make_reward
 
 
@@ -63,13 +63,13 @@ class LadderRun(SimulatedRun):
         return f"{self.task.name}: {self.way_name}, {self.learner}"
 
     @property
-    def way(self) -> Way:
+    def way(self) -> Variant:
         """The way.
 
         Raises:
             TrialError: There is no such way.
         """
-        way: Way = find_method(WAYS, self.way_name, TrialError)
+        way: Variant = find_method(WAYS, self.way_name, TrialError)
         return way
 
     @property

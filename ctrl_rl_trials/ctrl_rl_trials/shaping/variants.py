@@ -14,7 +14,7 @@ LEARNERS = ("ppo", "sac")
 
 
 @dataclass(frozen=True)
-class Way:
+class Variant:
     """A way to use the time to reach, or to do without.
 
     Attributes:
@@ -61,24 +61,24 @@ class Way:
         return self.baseline != "learnt" or self.starts == "grow" or self.demonstrations
 
 
-WAYS: Mapping[str, Way] = MappingProxyType(
+WAYS: Mapping[str, Variant] = MappingProxyType(
     {
-        "best_progress": Way("best progress of time to reach", "best_progress"),
-        "sparse": Way("sparse"),
-        "distance": Way("distance", "distance"),
-        "progress": Way("progress of time to reach", "progress"),
-        "best_progress_distance": Way("best progress of distance", "best_progress", "distance"),
-        "progress_distance": Way("progress of distance", "progress", "distance"),
-        "ttr": Way("-time to reach (Eq. 3.9)", "ttr"),
-        "v_corrected": Way("V as baseline, corrected", baseline="corrected"),
-        "shaping": Way("shaping by time to reach", "shaping"),
-        "v_frozen": Way("V as frozen baseline", baseline="frozen"),
-        "v_begins": Way("V as initial critic", baseline="begins"),
-        "growing_starts": Way("starts that grow with V", starts="grow"),
-        "demonstrations": Way("demonstrations by V", demonstrations=True),
-        "best_progress_lambda_0.7": Way("best progress, λ = 0.7", "best_progress", gae_lambda=0.7),
-        "best_progress_mpc": Way("best progress of MPC's time to go", "best_progress", "time to go"),
-        "v_corrected_lambda_0.7": Way("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
+        "best_progress": Variant("best progress of time to reach", "best_progress"),
+        "sparse": Variant("sparse"),
+        "distance": Variant("distance", "distance"),
+        "progress": Variant("progress of time to reach", "progress"),
+        "best_progress_distance": Variant("best progress of distance", "best_progress", "distance"),
+        "progress_distance": Variant("progress of distance", "progress", "distance"),
+        "ttr": Variant("-time to reach (Eq. 3.9)", "ttr"),
+        "v_corrected": Variant("V as baseline, corrected", baseline="corrected"),
+        "shaping": Variant("shaping by time to reach", "shaping"),
+        "v_frozen": Variant("V as frozen baseline", baseline="frozen"),
+        "v_begins": Variant("V as initial critic", baseline="begins"),
+        "growing_starts": Variant("starts that grow with V", starts="grow"),
+        "demonstrations": Variant("demonstrations by V", demonstrations=True),
+        "best_progress_lambda_0.7": Variant("best progress, λ = 0.7", "best_progress", gae_lambda=0.7),
+        "best_progress_mpc": Variant("best progress of MPC's time to go", "best_progress", "time to go"),
+        "v_corrected_lambda_0.7": Variant("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
     }
 )
 """All ways by name, those that tell most first."""

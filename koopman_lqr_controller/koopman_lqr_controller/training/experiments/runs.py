@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from ctrl_rl_learning.study import Point, Run, RunOptions, Tell, check_same, result_file
+from ctrl_rl_learning.study import IterationMetrics, ProgressCallback, Run, RunOptions, check_same, result_file
 
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest
@@ -21,7 +21,7 @@ from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
-from koopman_lqr_controller.training.experiments.trainer import Keep, KoopmanLearning, Learner
+from koopman_lqr_controller.training.experiments.trainer import Keep, KoopmanTrainer, Learner
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class LearningRun(Run):
     """A run with a learner of `methods.LEARNERS`.
 
     Its folder then holds policy.safetensors, the policy that is kept, and consolidated.safetensors, unless the run
-    wants none. `KoopmanLearning` says what result and curve hold.
+    wants none. `KoopmanTrainer` says what result and curve hold.
 
     Attributes:
         problem_name: One of `BENCHMARK_TASKS`, or the .yaml file of a task with a corridor.
@@ -87,7 +87,7 @@ class LearningRun(Run):
             return None
         return ConsolidationConfig.of(self.consolidation, options.final_evaluations)
 
-    def terms(self, options: RunOptions) -> dict[str, Any]:
+    def fingerprint(self, options: RunOptions) -> dict[str, Any]:
         """Return description and settings.
 
         Raises:
@@ -102,7 +102,7 @@ class LearningRun(Run):
         return {**self.description, **budget, **kept, "consolidation": None if plan is None else plan.as_json()}
 
     @contextmanager
-    def begin(self, options: RunOptions, tell: Tell) -> Iterator[KoopmanLearning]:
+    def begin(self, options: RunOptions, tell: ProgressCallback) -> Iterator[KoopmanTrainer]:
         """Yield the learner with its environments."""
         environment, tested = (self.problem.make(learning) for learning in (True, False))
         try:
@@ -111,16 +111,16 @@ class LearningRun(Run):
             manifest = {**self.description, "command": self.command}
             folder = result_file(options.folder, self).parent
             plan = self.plan(options)
-            yield KoopmanLearning(learner, self.problem, tested, options, folder, manifest, plan, self.keep, tell)
+            yield KoopmanTrainer(learner, self.problem, tested, options, folder, manifest, plan, self.keep, tell)
         finally:
             environment.close()
             tested.close()
 
-    def words(self, point: Point) -> str:
+    def words(self, point: IterationMetrics) -> str:
         """Return the return of the policy that is kept so far."""
         return f"{point['best']:.1f}"
 
-    def should_stop(self, curve: Sequence[Point]) -> bool:
+    def should_stop(self, curve: Sequence[IterationMetrics]) -> bool:
         """Return whether a task's episodes are used up, or its patience is."""
         # What others offer has all of the budget: their curves may rise late, and ours must not win by that.
         patience = self.problem.patience if self.learner == "koopman" else 0

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from ctrl_rl_core.io.schema import Schema
-from ctrl_rl_learning.study import Point, RunOptions, Tell
+from ctrl_rl_learning.study import IterationMetrics, ProgressCallback, RunOptions
 from ctrl_rl_learning.torch import Arrays, load_arrays, save_arrays
 from pydantic import ConfigDict, Field
 
@@ -47,7 +47,7 @@ class _Best(Schema):
 
 
 class _Point(Schema):
-    """What learning goes on from of a chunk, see `KoopmanLearning.iterate`."""
+    """What learning goes on from of a chunk, see `KoopmanTrainer.iterate`."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -81,8 +81,8 @@ class Learner(Protocol):
         """Take what `arrays` gave."""
 
 
-class KoopmanLearning:
-    """A learner as a `Learning`: chunks of interaction, evaluations, and one policy kept.
+class KoopmanTrainer:
+    """A learner as a `Trainer`: chunks of interaction, evaluations, and one policy kept.
 
     Args:
         learner: Learner of the run.
@@ -106,16 +106,16 @@ class KoopmanLearning:
         manifest: Mapping[str, Any],
         plan: ConsolidationConfig | None,
         keep: Keep = "best",
-        tell: Tell = lambda *_: None,
+        tell: ProgressCallback = lambda *_: None,
     ) -> None:
         self._learner, self._problem, self._tested = learner, problem, tested
         self._options, self._folder, self._plan, self._tell = options, folder, plan, tell
         self._keep = keep
         self._manifest = {**manifest, "method": learner.method}
         self._best: dict[str, Any] = {"return": -float("inf"), "actions": 0}
-        self._curve: Sequence[Point] = ()
+        self._curve: Sequence[IterationMetrics] = ()
 
-    def iterate(self, curve: Sequence[Point], /) -> Point:
+    def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
         """Learn for one chunk, evaluate the candidates, and keep the best or the last.
 
         Returns:
