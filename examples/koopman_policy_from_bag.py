@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from koopman_lqr_controller.data.trajectory_segments import mean_time_step
+from koopman_lqr_controller.data import mean_time_step
 
 from ctrl_rl_core import load_navigation_task
 from koopman_lqr_controller import CorridorObservables, load_segments, save_policy, to_snapshots, train

@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from oc_baseline_node.plots import draw_trajectories
 
 from ctrl_rl_core import load_navigation_task
-from oc_baseline_node import Mpc, formulate
+from oc_baseline_node import Mpc, draw_trajectories, formulate
 
 task = load_navigation_task("car_navigation")
 problem = formulate(task)

@@ -6,7 +6,7 @@ python examples/time_to_reach_slice.py [PICTURE]
 import sys
 from pathlib import Path
 
-from ttr_reward_node.plots.value_slices import draw_slices
+from ttr_reward_node.plots import draw_slices
 
 from ctrl_rl_core import load_navigation_task
 from ttr_reward_node import problem_from_task, solve

@@ -17,10 +17,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ctrl_rl_learning.offline import learn_from_drives as learn_offline  # noqa: F401
-    from ctrl_rl_learning.offline import read_drives as transitions  # noqa: F401
-    from ctrl_rl_safety.trials.driving import drive as drive
-    from ttr_reward_node.training.learn import train as train
+    from ctrl_rl_safety.trials import drive as drive
+    from ttr_reward_node.training import train as train
 
     from ctrl_rl_core import Box as Box
     from ctrl_rl_core import CtrlRlError as CtrlRlError
@@ -29,6 +27,8 @@ if TYPE_CHECKING:
     from ctrl_rl_core import load_policy as load_policy
     from ctrl_rl_core import load_task as load_task
     from ctrl_rl_core import make_system as make_system
+    from ctrl_rl_learning import learn_from_drives as learn_offline  # noqa: F401
+    from ctrl_rl_learning import read_drives as transitions  # noqa: F401
     from ctrl_rl_safety import SafetyShield as SafetyShield
     from ctrl_rl_safety import find_model as find_model
     from ttr_reward_node import TimeToReach as TimeToReach

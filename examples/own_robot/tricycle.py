@@ -1,6 +1,8 @@
 """A tricycle that steers by turning its front wheel at a limited rate: a system model of one's own."""
 
-from ctrl_rl_core.systems.models import Parameter, Quantity, SystemModel
+from ctrl_rl_core.systems import Parameter
+
+from ctrl_rl_core import Quantity, SystemModel
 
 
 def equations(math, p):

@@ -1,1 +1,2 @@
 from .models import Dynamics as Dynamics
+from .models import Parameter as Parameter

@@ -1,1 +1,2 @@
+from .driving import drive as drive
 from .episodes import CAR as CAR

@@ -1,1 +1,5 @@
 """Plots of values and of checks of solutions."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

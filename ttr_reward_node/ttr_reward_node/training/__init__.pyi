@@ -1,1 +1,2 @@
+from .learn import train as train
 from .training import StateReward as StateReward

@@ -1,0 +1,1 @@
+from .trajectory_segments import mean_time_step as mean_time_step

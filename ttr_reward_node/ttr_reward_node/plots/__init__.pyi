@@ -1,0 +1,1 @@
+from .value_slices import draw_slices as draw_slices
