@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import ValueGrid
+from ctrl_rl_core import ValueFunction
 from ttr_reward_node.certificates.greedy import GRAZE, Greedy
 from ttr_reward_node.certificates.local_steps import LocalSteps
 from ttr_reward_node.problems.problem import TimeToReachProblem
@@ -54,17 +54,31 @@ class Drives:
         return np.isfinite(self.taken)
 
 
-def drive(value: ValueGrid, problem: TimeToReachProblem, states: Array) -> Drives:
-    """Drive from states (N, n) with finite values above 0."""
+def drive(
+    value: ValueFunction,
+    problem: TimeToReachProblem,
+    states: Array,
+    most_steps: int = _MOST_STEPS,
+    most_looks: float = _MOST_LOOKS,
+) -> Drives:
+    """Drive from states (N, n) with finite values above 0.
+
+    Args:
+        value: Time to reach to follow.
+        problem: Problem to drive in.
+        states: Where the drives begin.
+        most_steps: Number of steps after which a drive is not followed further.
+        most_looks: Number of looks at what a control leads to, of all drives together, after which none is.
+    """
     steps = LocalSteps(problem)
     greedy = Greedy(value, steps)
     promised, count = value.value(states), len(states)
     taken, elapsed, number = np.full(count, np.inf), np.zeros(count), np.zeros(count)
     now, running = states.copy(), np.arange(count)
     looks, each = 0, len(problem.control_samples) * len(problem.system.disturbance_samples(2))
-    for _ in range(_MOST_STEPS):
+    for _ in range(most_steps):
         looks += each * len(running)
-        if not len(running) or looks > _MOST_LOOKS:
+        if not len(running) or looks > most_looks:
             break
         at = now[running]
         u, d, h = greedy.choose(at)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import ValueGrid
+from ctrl_rl_core import ValueFunction
 from ttr_reward_node.certificates.local_steps import LocalSteps
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ class Greedy:
         steps: Steps of the problem's system.
     """
 
-    def __init__(self, value: ValueGrid, steps: LocalSteps) -> None:
+    def __init__(self, value: ValueFunction, steps: LocalSteps) -> None:
         self._value, self._steps = value, steps
         self._u = steps.problem.control_samples
         self._d = steps.problem.system.disturbance_samples(2)

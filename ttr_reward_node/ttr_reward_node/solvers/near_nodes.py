@@ -22,7 +22,7 @@ from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
 _BEYOND = 1.05  # cells beyond the reach of a step that may matter to it: it goes on in the cell in which it ends
-_BLOCK = 1 << 13  # outcomes that are found at once: each takes about 3 kB on the way
+_BLOCK = 1 << 12  # outcomes that are found at once: each takes about 3 kB on the way
 _ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Protocol
 
 import numpy as np
@@ -69,6 +70,10 @@ class Layout:
     def order(self) -> tuple[int, ...]:
         """All axes."""
         return self.outer + self.inner
+
+    def ordered(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return values (..., n) of the problem's axes in this order."""
+        return values if self.order == tuple(range(len(self.order))) else values[..., self.order]
 
     @property
     def slabs(self) -> int:
@@ -223,8 +228,8 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
             h = np.where(_leaves(problem, layout, x, motion, (low, high)), 0.0, motion.durations)
             per = (len(x), disturbances, shape[-1])
             durations[block, :, i] = h.reshape(per)
-            ends[block, :, i] = np.rint(motion.moves[..., layout.order] * PER_CELL).reshape(*per, -1)
-            _widen(reach[block], low[..., layout.order], high[..., layout.order])
+            ends[block, :, i] = np.rint(layout.ordered(motion.moves) * PER_CELL).reshape(*per, -1)
+            _widen(reach[block], layout, low, high)
             if layout.inner:
                 along = motion.along(layout.inner).path(PARTS)
                 ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
@@ -340,7 +345,9 @@ def _leaves(
     return outside
 
 
-def _widen(reach: NDArray[np.int16], low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+def _widen(reach: NDArray[np.int16], layout: Layout, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
     """Widen the reach (k, n, 2) of states to boxes (k, p, n) [cells] around their steps."""
-    reach[..., 0] = np.minimum(reach[..., 0], np.floor(np.maximum(low.min(axis=1), -_FAR)))
-    reach[..., 1] = np.maximum(reach[..., 1], np.ceil(np.minimum(high.max(axis=1), _FAR)))
+    lowest = reduce(np.minimum, (low[:, p] for p in range(low.shape[1])))
+    highest = reduce(np.maximum, (high[:, p] for p in range(high.shape[1])))
+    reach[..., 0] = np.minimum(reach[..., 0], np.floor(np.maximum(layout.ordered(lowest), -_FAR)))
+    reach[..., 1] = np.maximum(reach[..., 1], np.ceil(np.minimum(layout.ordered(highest), _FAR)))
