@@ -30,7 +30,7 @@ def random_problem(random: np.random.Generator) -> TimeToReachProblem:
             for i in range(2)
         )
 
-    bounds = random.uniform(0.1, 0.4, 2)
+    bounds = np.where(gain.any(axis=1), random.uniform(0.1, 0.4, 2), 0.0)  # one that acts on nothing is refused
     system = System(
         name="random",
         states=tuple(Quantity(name, "m") for name in NAMES),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
@@ -19,7 +20,7 @@ from tqdm import tqdm
 from ctrl_rl_core import parse_options
 from referee.families import FAMILIES, draw, family_of
 from referee.judge import Verdict, judge
-from ttr_reward_node import solve
+from ttr_reward_node import DoubtfulValueWarning, solve
 
 
 @dataclass
@@ -86,10 +87,14 @@ def try_seed(seed: int) -> Verdict:
     case = draw(seed)
     begin = time.process_time()
     try:
-        grid = solve(case.problem).grid
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtfulValueWarning)
+            solution = solve(case.problem)
     except Exception as error:
         return Verdict(seed, case.words, fault=f"{type(error).__name__}: {error}".splitlines()[0][:200])
-    return judge(case, grid.value, seed, seconds=time.process_time() - begin)
+    verdict = judge(case, solution.grid.value, seed, seconds=time.process_time() - begin)
+    doubts = () if solution.certificate is None else solution.certificate.doubts
+    return replace(verdict, doubts=doubts)
 
 
 def by_family(verdicts: Sequence[Verdict]) -> dict[str, list[Verdict]]:
@@ -140,6 +145,7 @@ def describe(verdict: Verdict) -> str:
     state = "breaks a limit" if verdict.wrong else "holds"
     return (
         f"{family_of(verdict.seed)} {verdict.seed}: {verdict.words}\n{brief(verdict)}\n{verdict.seconds:.2f} s: {state}"
+        + "".join(f"\nthe solution doubts itself: {doubt}" for doubt in verdict.doubts)
     )
 
 

@@ -41,6 +41,7 @@ class Verdict:
         at: State that was lost, else gained, else the one with the worst time; its time there and the reference's [s].
         fault: What the solver said in place of a solution.
         seconds: CPU time of the solver [s], compilation included.
+        doubts: What the solution's own certificate says.
     """
 
     seed: int
@@ -54,6 +55,7 @@ class Verdict:
     at: str = ""
     fault: str = ""
     seconds: float = 0.0
+    doubts: tuple[str, ...] = ()
 
     @property
     def wrong(self) -> bool:
