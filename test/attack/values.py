@@ -31,7 +31,7 @@ def against_referee(random: np.random.Generator, _folder: Path) -> None:
 ATTACKS = (
     Attack(
         "values-referee",
-        "Random systems: no reachable state is called unreachable; times are the referee's, or the solution doubts them.",
+        "Random systems: no reachable state is called unreachable; times are right, or the solution doubts them.",
         against_referee,
         limit_s=600.0,
     ),
