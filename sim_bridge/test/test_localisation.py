@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from sim_bridge.simulation.localisation import Localiser, correction
+from sim_bridge.simulation.odometry import Localiser, correction
 
 
 def test_errors_have_the_size_asked_for_and_vary_slowly():

@@ -12,7 +12,7 @@ import numpy as np
 from ctrl_rl_core.navigation.transform_tree import Transform
 from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
 from numpy.typing import ArrayLike, NDArray
-from sim_bridge.simulation.localisation import Localiser, correction
+from sim_bridge.simulation.odometry import Localiser, correction
 
 from ctrl_rl_core import (
     DriveSafety,

@@ -1,2 +1,2 @@
-from .kernels import scans as scans
 from .planar_fleet import RATE as RATE
+from .planar_fleet import scans as scans

@@ -20,12 +20,11 @@ from ctrl_rl_msgs.msg import RotorThrusts
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 from sim_bridge.ros.frames import Frames, TransformPublisher
 from sim_bridge.ros.localisation import LocalisationPublisher
-from sim_bridge.ros.map_publisher import MapPublisher
-from sim_bridge.ros.mover_publisher import MoverPublisher
 from sim_bridge.ros.pacing import Pacer, Schedule, SpeedMeter
 from sim_bridge.ros.parameters import PARAMETERS, simulation_options
 from sim_bridge.ros.publishers import ClockPublisher, RobotPublisher
 from sim_bridge.ros.robot_model import RobotModel
+from sim_bridge.ros.world_publishers import MapPublisher, MoverPublisher
 from sim_bridge.simulation.world import SimulatedWorld
 
 TICK = 0.005

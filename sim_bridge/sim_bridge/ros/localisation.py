@@ -13,8 +13,8 @@ from rclpy.node import Node
 
 from sim_bridge.ros.frames import WORLD_FRAME, CountedPublisher, Frames, transform
 from sim_bridge.ros.pacing import Schedule
-from sim_bridge.simulation.localisation import Array, Localiser, correction
-from sim_bridge.simulation.random_streams import Purpose, stream
+from sim_bridge.simulation.draws import Purpose, stream
+from sim_bridge.simulation.odometry import Array, Localiser, correction
 from sim_bridge.simulation.world import SimulatedWorld
 
 KINDS = ("none", "exact", "noisy")

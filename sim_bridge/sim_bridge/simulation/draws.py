@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core import Disc, MoverPlan, NavigationTask, System, World, draw_movers, draw_starts
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.options import SimulationOptions
-from sim_bridge.simulation.random_streams import Purpose, stream
+
+
+class Purpose(IntEnum):
+    """Purpose of a stream."""
+
+    START = 0
+    WIDTH = 1
+    SCAN = 2
+    ODOMETRY = 3
+    LOCALISATION = 4
+    CONDITIONS = 5
+    MOVERS = 6
+    DOORWAYS = 7
+
+
+def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:
+    """Return a random stream of an episode's seed."""
+    return np.random.default_rng((seed, robot, purpose))
+
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,9 @@
-"""Odometry that drifts like wheel odometry: distances and turns have small constant errors."""
+"""How a robot measures where it is: odometry that drifts like wheel odometry, and a localiser with errors."""
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,3 +77,44 @@ class Odometry:
         """Return the measured forward speed [m/s] and turn rate [rad/s]."""
         forward *= 1.0 + self._distance
         return forward, (1.0 + self._turn) * turn + self._bend * abs(forward)
+
+
+_MEMORY = 5.0
+"""Correlation time of the errors [s]."""
+
+
+class Localiser:
+    """Returns the true pose with slowly varying errors (Ornstein-Uhlenbeck processes)."""
+
+    def __init__(self, error: float, heading_error: float, rate: float, random: np.random.Generator) -> None:
+        """Draw the first errors.
+
+        Args:
+            error: Standard deviation of each coordinate [m].
+            heading_error: Standard deviation of the angle [rad].
+            rate: Poses per second [Hz].
+            random: Random generator of the errors.
+        """
+        self._size = np.array((error, error, heading_error))
+        self._kept = math.exp(-1.0 / (rate * _MEMORY))
+        self._random = random
+        self._error = self._size * random.standard_normal(3)
+
+    @property
+    def covariance(self) -> Array:
+        """Variances of the pose (3,) [m^2, m^2, rad^2]."""
+        return self._size**2
+
+    def update(self, true_pose: Array) -> Array:
+        """Return the next pose."""
+        told = np.add(true_pose, self._error)
+        fresh = self._size * self._random.standard_normal(3)
+        self._error = self._kept * self._error + math.sqrt(1.0 - self._kept**2) * fresh
+        return told
+
+
+def correction(pose: Array, odometry: Array) -> Array:
+    """Return the pose of odometry's frame in the map, given the robot's pose in both."""
+    turn = float(pose[2] - odometry[2])
+    offset = complex(*pose[:2]) - cmath.rect(1.0, turn) * complex(*odometry[:2])
+    return np.array((offset.real, offset.imag, turn))

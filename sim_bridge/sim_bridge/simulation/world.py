@@ -22,14 +22,13 @@ from ctrl_rl_core import NavigationTask, Outcome, Sensors, System, make_odometry
 from sim_bridge.engines.choice import make_engine
 from sim_bridge.simulation.bodies import Body, make_body
 from sim_bridge.simulation.commands import CommandChannel
-from sim_bridge.simulation.draws import checked_start, draw_episode
+from sim_bridge.simulation.draws import Purpose, checked_start, draw_episode, stream
 from sim_bridge.simulation.episode import Contact, EpisodeState, TerminationChecker
 from sim_bridge.simulation.lidar import Lidar, LidarScan
 from sim_bridge.simulation.movers import Movers, MoverStates
 from sim_bridge.simulation.odometry import Odometry, OdometryReading
 from sim_bridge.simulation.options import SimulationOptions
 from sim_bridge.simulation.plane_frame import PlaneFrame
-from sim_bridge.simulation.random_streams import Purpose, stream
 
 Array = NDArray[np.float64]
 
