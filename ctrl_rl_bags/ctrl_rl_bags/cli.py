@@ -45,43 +45,41 @@ _MaxChunk = Annotated[
     checked(_limits, "MB", show=lambda limits: str(limits.chunk_bytes >> _MB)),
     tyro.conf.arg(name="max-chunk-mb"),
 ]
-_Folder = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
 _Topics = Annotated[tuple[str, ...], checked_list(str, "TOPIC")]
 _Remaps = Annotated[tuple[tuple[str, str], ...], checked_list(_remap, "OLD:=NEW", show=":=".join)]
 
 
-@dataclass(frozen=True)
-class Info:
+@dataclass(frozen=True, kw_only=True)
+class _Reading:
+    """Options of the commands that read a bag."""
+
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """Folder of the bag, or one .mcap file."""
+    limits: _MaxChunk = DEFAULT_LIMITS
+    """Maximum size of a chunk or message [MB]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info(_Reading):
     """Show the files, duration, topics and metadata of a bag."""
 
-    folder: _Folder
-    """Folder of the bag, or one .mcap file."""
-    limits: _MaxChunk = DEFAULT_LIMITS
-    """Maximum chunk or message that is read [MB]."""
 
-
-@dataclass(frozen=True)
-class Recover:
+@dataclass(frozen=True, kw_only=True)
+class Recover(_Reading):
     """Copy what is readable of a bag that was cut off into a new one; the bag itself is only read."""
 
-    folder: _Folder
-    """Folder of the bag, or one .mcap file."""
     output: Annotated[str | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder of the recovered bag; FOLDER_recovered where none is given."""
-    limits: _MaxChunk = DEFAULT_LIMITS
-    """Maximum chunk or message that is read [MB]."""
+    """Folder of the recovered bag; by default FOLDER_recovered."""
 
 
-@dataclass(frozen=True)
-class Play:
+@dataclass(frozen=True, kw_only=True)
+class Play(_Reading):
     """Publish the messages of a bag, in their order and rhythm, with the recorded QoS."""
 
-    folder: _Folder
-    """Folder of the bag, or one .mcap file."""
     rate: float = 1.0
     """Speed as a multiple of the recording's."""
     topics: _Topics = ()
-    """Names of the topics to play; all where none is given."""
+    """Names of the topics to play; by default all."""
     remap: _Remaps = ()
     """New names of topics."""
     loop: bool = False
@@ -91,9 +89,7 @@ class Play:
     start_offset: float = 0.0
     """Time to skip at the beginning of the bag [s]."""
     wait_for_subscribers: float = 1.0
-    """Longest time to wait for a subscriber on every topic [s]."""
-    limits: _MaxChunk = DEFAULT_LIMITS
-    """Maximum chunk or message that is read [MB]."""
+    """Maximum time to wait for a subscriber on every topic [s]."""
 
 
 _Command = (

@@ -82,7 +82,7 @@ class Extract:
     """free_speed: speed is a control; free_time: constant speed, free time step; letter: Eq. 3.16 as printed, with
     constant speed and fixed horizon, infeasible from most starts."""
     clearance: _Clearance = None
-    """Minimum distance d_min from obstacles [m] (default: the task's, but more than the body's radius)."""
+    """Minimum distance d_min from obstacles [m]; by default the task's, but more than the body's radius."""
 
 
 @dataclass(frozen=True)
@@ -90,13 +90,13 @@ class Solve(Extract):
     """Solve one trajectory; exit with 1 and the solver's reason if there is none."""
 
     start: Annotated[NDArray[np.float64] | None, checked(_state, "X,Y,...")] = None
-    """Start state x_0, such as 0,-3.5,1.57 (default: random)."""
+    """Start state x_0, such as 0,-3.5,1.57; by default random."""
     seed: NotNegative = 0
     """Seed of the random start."""
     solver: Literal["ipopt", "fatrop"] | None = None
-    """The only solver to try (default: fatrop, then ipopt)."""
+    """The only solver to try; by default fatrop, then ipopt."""
     output: Path | None = None
-    """Picture to write (default: none)."""
+    """Picture to write; by default none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,13 +106,13 @@ class Data(Extract):
     output: Path
     """Folder of the data, with one file per chunk of trajectories."""
     trajectories: Positive | None = None
-    """Number of solved trajectories (default: the task's)."""
+    """Number of solved trajectories; by default the task's."""
     seed: NotNegative = 0
     """Seed of the random starts."""
     workers: Positive = os.cpu_count() or 1
     """Number of processes."""
     ray: str | None = None
-    """Address of a Ray cluster, auto for this machine's (default: processes of this machine)."""
+    """Address of a Ray cluster, auto for this machine's; by default processes of this machine."""
 
 
 @dataclass(frozen=True)

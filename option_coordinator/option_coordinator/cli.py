@@ -32,11 +32,11 @@ class ReplayOptions:
     """Policy 'scripted' or 'random', or a file that `train` wrote."""
 
     choose: Literal["draws", "mode"] | None = None
-    """Use of a learned policy: draws, or its most likely options (default: the policy's own)."""
+    """Use of a learned policy: draws, or its most likely options; by default the policy's own."""
 
     synchronisation: Literal["async", "wait", "cut"] | None = None
     """Which robots choose together. async: each when it is ready; wait: all, once the last is ready; cut: all, once the
-    first is ready (default: a learned policy's own, else async)."""
+    first is ready; by default a learned policy's own, else async."""
 
     seed: int = 0
     """Seed of the episode."""

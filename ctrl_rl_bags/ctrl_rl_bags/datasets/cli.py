@@ -36,9 +36,9 @@ class Export(DriveOptions):
     image: str = "camera/image_raw"
     """Topic of the camera (sensor_msgs/Image); without it the dataset has no pictures."""
     task: str = ""
-    """Name of the task (default: what the bag's parameters say)."""
+    """Name of the task; by default what the bag's parameters say."""
     period: Annotated[float | None, checked(_period, "NUMBER")] = None
-    """Time between frames [s] (default: one frame per scan)."""
+    """Time between frames [s]; by default one frame per scan."""
 
 
 @dataclass(frozen=True, kw_only=True)

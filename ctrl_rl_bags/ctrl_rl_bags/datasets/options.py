@@ -129,9 +129,9 @@ class DriveOptions:
     odometry: str = "odom"
     """Topic of the odometry."""
     commands: str = ""
-    """Topic of the commands (default: cmd_vel, or else rotor_thrusts)."""
+    """Topic of the commands; by default cmd_vel, or else rotor_thrusts."""
     beams: at_least(1) | None = None  # type: ignore[valid-type]
-    """Number of beams to resample all scans to (default: that of the first scan)."""
+    """Number of beams to resample all scans to; by default that of the first scan."""
     clock: Annotated[Clock, one_of(get_args(Clock))] = "header"
     """Time of messages: header for their stamps, log for the times of reception."""
 

@@ -49,7 +49,7 @@ class _RunOptions:
     """Options of every command that drives."""
 
     output: Path | None = None
-    """New folder of the run (default: runs/<command>-<date>-<time>)."""
+    """New folder of the run; by default runs/<command>-<date>-<time>."""
 
     task: str = "curved_corridor"
     """Task name or .yaml file."""
@@ -64,7 +64,7 @@ class _RunOptions:
     """Draw the corridor's width from the task's range."""
 
     engine: Literal["pybullet", "mujoco"] | None = None
-    """Physics engine of the simulator (default: PyBullet, or MuJoCo if PyBullet is not installed)."""
+    """Physics engine of the simulator; by default PyBullet, or MuJoCo if PyBullet is not installed."""
 
     filter: bool = False
     """Put the safety filter between the driver and the robot, or the flight guard between the pilot and a quadrotor."""
@@ -73,10 +73,10 @@ class _RunOptions:
     """Show PyBullet's window."""
 
     lidar: str | None = None
-    """Lidar that the simulator imitates, lds01 or lds02 (default: the task's)."""
+    """Lidar that the simulator imitates, lds01 or lds02; by default the task's."""
 
     scan_rate: float | None = None
-    """Scans per second [Hz] (default: the task's)."""
+    """Scans per second [Hz]; by default the task's."""
 
     dropout: float | None = None
     """Probability that a beam returns no echo, 0 to 1."""
@@ -125,10 +125,10 @@ class DemoOptions(_RunOptions):
     """Drive, or fly, a robot through a task in the simulator, record it and report."""
 
     task: str = ""
-    """Task name or .yaml file (default: curved_corridor; with --filter one with an oncoming person)."""
+    """Task name or .yaml file; by default curved_corridor, or with --filter one with an oncoming person."""
 
     policy: str = ""
-    """Policy name or file (default: the one trained on the task)."""
+    """Policy name or file; by default the one trained on the task."""
 
     seed: int = 0
     """Seed of start pose and noise."""
@@ -142,13 +142,13 @@ class TrialsOptions(_RunOptions):
     """Simulation time per wall time."""
 
     policy: str = ""
-    """Policy name or file (default: the one trained on the task)."""
+    """Policy name or file; by default the one trained on the task."""
 
     seeds: _Drives = 20  # type: ignore[valid-type]
     """Number of drives, with seeds from 0."""
 
     at_least: int | None = None
-    """Exit with 1 if fewer drives reach the goal (default: 95 % of them)."""
+    """Exit with 1 if fewer drives reach the goal; by default 95 % of them."""
 
     results: OptionalFileToWrite = None
     """JSON file to write the metrics to."""

@@ -38,7 +38,7 @@ class PreflightOptions:
     """Inspect a live robot, or the simulator, before it drives: list what is wrong and say GO or NO-GO."""
 
     output: Path | None = None
-    """Folder of the report, preflight.txt and preflight.json (default: runs/preflight-<date>-<time>)."""
+    """Folder of the report, preflight.txt and preflight.json; by default runs/preflight-<date>-<time>."""
 
     seconds: FiniteNumber = 5.0
     """Time to listen after the first scan and odometry [s]."""

@@ -34,7 +34,7 @@ class DemoOptions(_TeamOptions):
     """Let a team of TurtleBots carry parcels under the coordinator; record the run and report on it."""
 
     output: Path | None = None
-    """New folder of the run (default: runs/options-<date>-<time>)."""
+    """New folder of the run; by default runs/options-<date>-<time>."""
 
     room: str = TeamConfig.room
     """Navigation task or .yaml file of the room; the team's if empty."""

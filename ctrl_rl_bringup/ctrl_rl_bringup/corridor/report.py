@@ -23,13 +23,21 @@ from ctrl_rl_bringup.corridor.surroundings import (
     read_movers,
 )
 from ctrl_rl_bringup.runner.monitor import OUTCOMES
-from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent, recorded_parameters
+from ctrl_rl_bringup.runner.transport import (
+    answer_latencies,
+    late_answers,
+    lost_messages,
+    read_sent,
+    recorded_parameters,
+)
 from ctrl_rl_core import load_navigation_task
 from ctrl_rl_msgs.msg import TaskOutcome
 
 Array = NDArray[np.float64]
 _START_S = 0.5
 """Time until the first value of a run must arrive [s]."""
+_FEWEST = 10
+"""Messages of an episode by which its speed is measured."""
 _ANSWERED = 0.9
 """Fraction of odometry messages that values must answer."""
 _DIGEST = "digest."
@@ -56,6 +64,8 @@ class DriveReport:
         messages: Number of recorded messages.
         lost: Number of messages published while the recorder listened, but not recorded.
         predictions: Time, one-step error of the latent model, and error of predicting no change (n, 3).
+        speed: Simulation time per wall time that was achieved; NaN if unknown.
+        late: Number of commands that came after the scan that follows the one that they answer.
         latent: Latent model of the controller; None if another driver drove.
         movers: Moving obstacles of the task.
         safety_filter: Answers of the safety filter or flight guard; None if neither ran.
@@ -82,6 +92,8 @@ class DriveReport:
     movers: tuple[MoverTrack, ...] = ()
     safety_filter: FilterRecord | None = None
     promised: frozenset[str] = frozenset()
+    speed: float = float("nan")
+    late: int = 0
 
     @property
     def reached(self) -> bool:
@@ -138,6 +150,8 @@ class DriveReport:
             "oc_value_at_start": float(self.oc_values[0, 1]) if len(self.oc_values) else None,
             "latency_median_ms": 1e3 * self.latency(50),
             "latency_p99_ms": 1e3 * self.latency(99),
+            "speed": self.speed if np.isfinite(self.speed) else None,
+            "late_commands": self.late,
             "messages_recorded": self.messages,
             "messages_lost": self.lost,
             "latent_model": self.latent.as_dict() if self.latent else None,
@@ -163,11 +177,19 @@ class DriveReport:
                 f"smallest clearance  {self.smallest_clearance:.3f} m",
                 f"optimal value       {value}",
                 f"control latency     {ms[0]:.2f} ms median, {ms[1]:.2f} ms p99, {len(self.latencies)} scans",
+                f"speed               {self._speed_text()}",
                 f"messages            {self.messages} recorded, {self.lost} lost",
                 *(self.latent.text() if self.latent else ()),
                 *(self.safety_filter.text() if self.safety_filter else ()),
             )
         )
+
+    def _speed_text(self) -> str:
+        """Return the speed of the simulation, and whether the drive depended on the computer's load."""
+        said = f"{self.speed:.1f} times real time" if np.isfinite(self.speed) else "unknown"
+        if not self.late:
+            return f"{said}, each command before the next scan"
+        return f"{said}; {self.late} commands came after the next scan: the drive depended on the computer's load"
 
 
 def read_drive(bag: Path) -> DriveReport:
@@ -178,6 +200,7 @@ def read_drive(bag: Path) -> DriveReport:
     """
     stamps: dict[str, list[float]] = defaultdict(list)
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    heard: list[int] = []
     info = bag_info(bag)
     flies = any(topic.endswith("/rotor_thrusts") for topic in info.topics)
     commands = "/rotor_thrusts" if flies else "/cmd_vel"
@@ -190,6 +213,8 @@ def read_drive(bag: Path) -> DriveReport:
     for message in read_messages(bag, recorded):
         topic = message.topic.removeprefix(space)
         stamps[topic].append(_stamp(message.data))
+        if topic == "/episode":
+            heard.append(message.log_time)
         rows[topic].append(_row(topic, message.data, flies))
     if not rows["/episode"]:
         raise BagError(f"{bag}: no message on {space}/episode: the drive never began")
@@ -225,6 +250,8 @@ def read_drive(bag: Path) -> DriveReport:
         latent=latent,
         movers=read_movers(bag, begin) if MOVERS in info.topics else (),
         safety_filter=read_filter(bag, begin, begin + _duration(episode), guards[0]) if guards else None,
+        speed=_speed(episode, np.array(heard)),
+        late=late_answers(sent.get(f"{space}/scan", ()), sent.get(space + commands, ())),
         promised=frozenset(key.removeprefix(_DIGEST) for key in info.custom_data if key.startswith(_DIGEST)),
     )
 
@@ -261,6 +288,16 @@ def _row(topic: str, message: Any, flies: bool) -> tuple[float, ...]:
 def _duration(episode: Array) -> float:
     ended = episode[episode[:, 3] != TaskOutcome.RUNNING]
     return float(ended[0, 1] if len(ended) else episode[-1, 1])
+
+
+def _speed(episode: Array, heard: NDArray[np.int64]) -> float:
+    """Return the simulation time per wall time while the first episode ran; NaN if too little was heard of it."""
+    ran = (episode[:, 0] == episode[0, 0]) & (episode[:, 3] == TaskOutcome.RUNNING)
+    elapsed, wall = episode[ran, 1], 1e-9 * heard[ran]
+    moving = elapsed > 0.0  # it is paused until all nodes are ready
+    if moving.sum() < _FEWEST or not np.ptp(wall[moving]) > 0.0:
+        return float("nan")
+    return float(np.ptp(elapsed[moving]) / np.ptp(wall[moving]))
 
 
 def _task_of(custom_data: Any) -> tuple[str, float | None]:

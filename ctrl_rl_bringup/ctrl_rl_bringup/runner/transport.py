@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +73,21 @@ def answer_latencies(questions: Iterable[Sent], answers: Iterable[Sent]) -> NDAr
         if at is not None:
             times.append(answer.publish_time - at)
     return 1e-9 * np.array(times, dtype=float)
+
+
+def late_answers(questions: Iterable[Sent], answers: Iterable[Sent]) -> int:
+    """Return the number of questions that were answered after the next one had been published.
+
+    A simulator that runs faster than its computer allows asks again before the answer is there: such a drive depends
+    on the load of the computer.
+    """
+    asked = sorted(questions, key=lambda each: each.publish_time)
+    following = {each.stamp: after.publish_time for each, after in pairwise(asked)}
+    late = 0
+    for answer in answers:
+        at = following.pop(answer.stamp, None)
+        late += at is not None and answer.publish_time > at
+    return late
 
 
 def _stamp(data: bytes) -> int:

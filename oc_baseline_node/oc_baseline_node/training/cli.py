@@ -31,11 +31,11 @@ class Train(SimulatedOptions):
     folder: FolderToWrite = Path("runs/oc_training")
     """Folder of the runs; each run has a subfolder and continues there where it stopped."""
     methods: Annotated[tuple[str, ...], some_of(METHODS)] = ()
-    """Methods to learn with (default: oc_ppo ppo oc_corrected)."""
+    """Methods to learn with; by default oc_ppo ppo oc_corrected."""
     compare: Annotated[tuple[str, ...], some_of([*GROUPS, "all"])] = ()
     """Figures or tables of the thesis whose methods to learn with, instead of --methods."""
     value: Path | None = None
-    """Network of V_oc that `oc fit` wrote (default: the one in the package)."""
+    """Network of V_oc that `oc fit` wrote; by default the one in the package."""
 
 
 @dataclass(frozen=True, kw_only=True)

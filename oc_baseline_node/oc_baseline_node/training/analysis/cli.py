@@ -80,7 +80,7 @@ class MpcDrives(_Analysis):
     episodes: Positive = 5
     """Number of episodes of MPC."""
     learnt: Path | None = None
-    """JSON file of `train --results` with a learned path to draw (default: none)."""
+    """JSON file of `train --results` with a learned path to draw; by default none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,9 +100,9 @@ class Gradient(_Analysis):
     task: str = "quad_trap"
     """Name or .yaml file of the task."""
     value: Path | None = None
-    """File of V_oc (default: the network in the package)."""
+    """File of V_oc; by default the network in the package."""
     samples: Positive | None = None
-    """Number of samples of the true gradient (default: the thesis's 102400)."""
+    """Number of samples of the true gradient; by default the thesis's 102400."""
 
 
 _Command: Any = (
