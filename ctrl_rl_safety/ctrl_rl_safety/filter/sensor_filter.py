@@ -31,6 +31,7 @@ class SensorFilter:
 
     Attributes:
         looks: Whether it wants each turn of the lidar: always.
+        changed: Whether the last answer was another command.
         verdict: Answer to the last command; None before the first.
     """
 
@@ -39,13 +40,8 @@ class SensorFilter:
     ) -> None:
         self._safety, self._lidar_x, self._set_period, self._walls = safety, lidar_x, set_period, walls
         self._solved_at = -math.inf
-        self.looks = True
+        self.looks, self.changed = True, False
         self.verdict: Verdict | None = None
-
-    @property
-    def changed(self) -> bool:
-        """Whether the last answer was another command."""
-        return self.verdict is not None and self.verdict.mode is not Mode.PASSED
 
     def __call__(self, sensors: Sensors, command: Array) -> Array:
         """Return the certified command nearest to a raw one (2,)."""
@@ -63,5 +59,5 @@ class SensorFilter:
                 safety.use(safety.solve())
         verdict = safety.decide(now, Reading(pose, *sensors.speeds), command)
         safety.sent(now, verdict.command)
-        self.verdict = verdict
+        self.verdict, self.changed = verdict, verdict.mode is not Mode.PASSED
         return verdict.command

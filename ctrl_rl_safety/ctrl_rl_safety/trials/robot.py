@@ -51,21 +51,6 @@ class Base:
         return self._speeds
 
 
-class _OwnWheels:
-    """Hands commands on: the wheels of the engine move as their motors do."""
-
-    def __init__(self) -> None:
-        self._command = (0.0, 0.0)
-
-    def send(self, time: float, command: Array) -> None:  # noqa: ARG002 - see Base
-        """Take a command (2,)."""
-        self._command = float(command[0]), float(command[1])
-
-    def advance(self, time: float) -> tuple[float, float]:  # noqa: ARG002 - see Base
-        """Return the last command [m/s, rad/s]."""
-        return self._command
-
-
 class RobotFilter(Filter[Sensors], Protocol):
     """A filter at the robot, which answers at each tick.
 
@@ -75,10 +60,7 @@ class RobotFilter(Filter[Sensors], Protocol):
     """
 
     looks: bool
-
-    @property
-    def changed(self) -> bool:
-        """Return whether its last answer was another command."""
+    changed: bool
 
 
 class TrialRobot:
@@ -154,7 +136,8 @@ class TrialRobot:
             self.ticks += 1
             sent.append(command)
             self._last = command
-            self._base.send(self.world.elapsed, command)
+            if self._base is not None:
+                self._base.send(self.world.elapsed, command)
             self._advance()
             if self.over:
                 break
@@ -182,7 +165,7 @@ class TrialRobot:
 
     def _begin(self) -> None:
         world = self.world
-        self._base = _OwnWheels() if self._model is None else Base(self._model, 1.0 / world.options.rate)
+        self._base = None if self._model is None else Base(self._model, 1.0 / world.options.rate)
         self._filter = None if self._make_filter is None else self._make_filter()
         self._shown, self._seen = RobotSenses(world, self._goal), RobotSenses(world)
         self._last, self.ticks, self.changed, self.distance = world.rest, 0, 0, 0.0
@@ -207,7 +190,7 @@ class TrialRobot:
             speed = float(world.velocity()[0])
             if abs(speed) < STANDS:
                 self._stood_at = world.pose()[:2]
-            world.command(0, self._base.advance(world.elapsed))
+            world.command(0, self._last if self._base is None else self._base.advance(world.elapsed))
             world.step()
             if not self._flies:
                 self.distance += abs(speed) / world.options.rate
