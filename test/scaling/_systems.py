@@ -11,7 +11,7 @@ from ttr_reward_node import TimeToReachProblem, problem_from_task
 GRIDS = {
     "car": ((51, 51, 36), (101, 101, 72)),
     "pendulum pair": ((13,) * 4, (17,) * 4),
-    "planar quadrotor, undecomposed": ((12,) * 6,),
+    "planar quadrotor, undecomposed": ((12,) * 6, (20,) * 6),
 }
 
 
