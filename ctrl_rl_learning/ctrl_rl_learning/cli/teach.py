@@ -43,11 +43,11 @@ def _teach(options: Teach) -> int:
     if task.corridor is None:
         raise CommandError(f"task '{task.name}' has no corridor: there are curved_corridor and corridor_doorways")
     # Torch takes seconds to import: not before the arguments are right.
-    from ctrl_rl_learning.dagger.run import TaughtRun, as_text, collect
+    from ctrl_rl_learning.dagger.run import TaughtRun, collect
 
     runs = [TaughtRun(options.task, seed) for seed in range(options.seeds)]
     how = RunOptions(options.folder, math.ceil(options.samples / _ITERATION), _ITERATION, 0, _FINAL_EVALUATIONS)
-    train_and_collect(options, task, runs, "teaching", collect, as_text, how)
+    train_and_collect(options, task, runs, "teaching", collect, how)
     return 0
 
 

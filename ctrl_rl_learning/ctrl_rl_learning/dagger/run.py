@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import NavigationTask, Outcome, Result, load_navigation_task, task_digest
 from ctrl_rl_learning.dagger.episode import LabelledSample, corridor_interface, drive_labelled
 from ctrl_rl_learning.dagger.student import Student
-from ctrl_rl_learning.study.results import as_table, collect_rows, curves_of, finished_runs, metric
+from ctrl_rl_learning.study.results import collect_rows, curves_of, finished_runs, metric
 from ctrl_rl_learning.study.run import IterationMetrics, ProgressCallback, Run, RunOptions
 from ctrl_rl_learning.torch.checkpoints import load_arrays, restore_state, save_arrays, state_arrays
 
@@ -154,8 +154,3 @@ def collect(runs: Sequence[TaughtRun], folder: Path) -> tuple[list[Result], dict
     """Return the rows of finished runs, each metric with one value a seed, and their `curves` of success."""
     found = finished_runs(runs, folder, lambda _: "taught by the time to reach")
     return collect_rows(found, _METRICS), {"curves": curves_of(found, success="evaluation")}
-
-
-def as_text(rows: list[Result]) -> str:
-    """Return the rows as text."""
-    return as_table(rows, {})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
@@ -85,8 +86,8 @@ def train_and_collect(
     runs: Sequence[AnyRun],
     title: str,
     collect: Callable[[Sequence[AnyRun], Path], tuple[list[Result], dict[str, Any]]],
-    as_text: Callable[[list[Result]], str],
     how: RunOptions,
+    labels: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Run what is not finished yet, print the table, and write it and the figures' data if asked to.
 
@@ -96,17 +97,18 @@ def train_and_collect(
         runs: Runs in the order in which they begin.
         title: Begins the name of the experiment, which ends with the task's.
         collect: Returns the rows and the figures' data of the runs that are finished in a folder.
-        as_text: Returns the printed form of the rows.
         how: Settings of the runs.
+        labels: Labels of the methods whose own name does not say enough.
 
     Raises:
         CtrlRlError: See `run_experiments`.
     """
     from ctrl_rl_learning.study.matrix import run_experiments
+    from ctrl_rl_learning.study.results import as_table
 
     run_experiments(runs, how, options.workers, task.name, options.ray)
     rows, figures = collect(runs, options.folder)
-    print(as_text(rows))
+    print(as_table(rows, labels))
     if options.results is not None:
         terms = {"task": task.name, "task_digest": task_digest(task)}
         write_results(options.results, f"{title}_{task.name}", range(options.seeds), rows, {**terms, **figures})

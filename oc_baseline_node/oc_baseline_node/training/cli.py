@@ -49,7 +49,7 @@ def _train(options: Train) -> int:
     if options.iterations:
         note_old_name("train", "--iterations", "--samples")
     task = load_navigation_task(options.task)
-    from oc_baseline_node.training.experiments.results import collect, table
+    from oc_baseline_node.training.experiments.results import LABELS, collect
     from oc_baseline_node.training.experiments.runs import oc_runs
 
     groups = GROUPS if "all" in options.compare else options.compare
@@ -57,7 +57,7 @@ def _train(options: Train) -> int:
     runs = oc_runs(task, methods, options.seeds, options.value, options.engine)
     for run in runs:
         run.description  # noqa: B018 - refuses a missing or wrong V_oc before workers start
-    train_and_collect(options, task, runs, "oc_training", collect, table, options.run_options())
+    train_and_collect(options, task, runs, "oc_training", collect, options.run_options(), LABELS)
     return 0
 
 

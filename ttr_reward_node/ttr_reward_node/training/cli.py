@@ -54,7 +54,7 @@ def _train(options: Train) -> int:
     if needing and options.grid is None:
         raise TimeToReachError(f"the reward {needing[0]} needs --grid: make it with `solve --task {options.task}`")
     # Torch takes seconds to import: not before the arguments are right.
-    from ttr_reward_node.training.results import collect, success_table
+    from ttr_reward_node.training.results import collect
     from ttr_reward_node.training.training import reward_runs
 
     runs = reward_runs(
@@ -62,7 +62,7 @@ def _train(options: Train) -> int:
     )
     for run in {run.reward: run for run in runs}.values():
         run.environment().close()  # refuses what is wrong before workers start
-    train_and_collect(options, runs[0].task, runs, "ttr_training", collect, success_table, options.run_options())
+    train_and_collect(options, runs[0].task, runs, "ttr_training", collect, options.run_options())
     return 0
 
 

@@ -45,15 +45,6 @@ def _thesis(run: RewardRun, name: str) -> float | None:
     return THESIS_SAMPLES.get(run.task.name) if run.reward == "ttr" and name.startswith("samples") else None
 
 
-def success_table(rows: Sequence[Result]) -> str:
-    """Return the success of each algorithm and reward as text, one value a seed."""
-    return "\n".join(
-        f"{row.method:<22} success {' '.join(f'{100 * value:4.0f}' for value in row.values)} %"
-        for row in rows
-        if row.metric == "success"
-    )
-
-
 def _visits(folder: Path, runs: Sequence[RewardRun]) -> dict[str, list[Any]]:
     """How often states were met in each third of the training, all seeds together: places and angles."""
     places: list[NDArray[np.int64]] = []

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_learning.study import as_table, collect_rows, curves_of, finished_runs, metric, metrics_of_speed
+from ctrl_rl_learning.study import collect_rows, curves_of, finished_runs, metric, metrics_of_speed
 
 from ctrl_rl_core import Result
 from oc_baseline_node.training.experiments.methods import METHODS
@@ -66,9 +66,8 @@ def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str
     return rows, figures
 
 
-def table(rows: Sequence[Result]) -> str:
-    """Return the rows as text."""
-    return as_table(rows, {name: method.label for name, method in METHODS.items()})
+LABELS = {name: method.label for name, method in METHODS.items()}
+"""Labels of the methods in the table."""
 
 
 def _rate(result: Mapping[str, Any], outcome: str) -> float:

@@ -82,7 +82,7 @@ def _train(options: Train) -> int:
         raise CommandError(f"--drop must be a probability, 0 to 1, not {options.drop:g}")
     from ctrl_rl_learning.study import RunOptions
 
-    from option_coordinator.training.experiments.results import collect, table
+    from option_coordinator.training.experiments.results import LABELS, collect
     from option_coordinator.training.experiments.runs import option_runs
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
@@ -93,7 +93,7 @@ def _train(options: Train) -> int:
     for run in runs:
         run.environment()  # refuses images, options or robots that vanish where there are none
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, final_evaluations=options.evaluations)
-    train_and_collect(options, task, runs, "options", collect, table, how)
+    train_and_collect(options, task, runs, "options", collect, how, LABELS)
     return 0
 
 

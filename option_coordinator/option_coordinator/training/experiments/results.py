@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctrl_rl_learning.study import Metric, as_table, collect_rows, curves_of, finished_runs, metric, metrics_of_speed
+from ctrl_rl_learning.study import Metric, collect_rows, curves_of, finished_runs, metric, metrics_of_speed
 
 from ctrl_rl_core import Result
 from option_coordinator.environments.roll_out import play_episodes
@@ -108,6 +108,5 @@ def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
     return {name: summary(list(play_episodes(environment, chooser, fresh(_EPISODES)))) for name, chooser in choosers}
 
 
-def table(rows: Sequence[Result]) -> str:
-    """Return the rows as text."""
-    return as_table(rows, {name: method.label for name, method in METHODS.items()})
+LABELS = {name: method.label for name, method in METHODS.items()}
+"""Labels of the methods in the table."""
