@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bringup.runner.transport import Sent, answer_latencies, lost_messages, read_sent
+from ctrl_rl_bringup.runner.transport import Sent, answer_latencies, late_answers, lost_messages, read_sent
 
 from ctrl_rl_bags import BagWriter, Topic
 
@@ -46,3 +46,10 @@ def test_latency_is_that_of_the_answer_with_the_same_stamp() -> None:
 )
 def test_counts_the_gaps_of_one_publisher(numbers: list[int], lost: int) -> None:
     assert lost_messages({"/scan": [Sent(number, 0, 0) for number in numbers]}) == lost
+
+
+def test_an_answer_is_late_once_the_next_question_has_been_asked() -> None:
+    questions = [Sent(1, 100 * MS, 1), Sent(2, 200 * MS, 2), Sent(3, 300 * MS, 3)]
+    answers = [Sent(1, 150 * MS, 1), Sent(2, 301 * MS, 2), Sent(3, 900 * MS, 3), Sent(4, 950 * MS, 2)]
+    assert late_answers(questions, answers) == 1
+    assert late_answers(questions, answers[:1]) == 0

@@ -131,3 +131,13 @@ def test_what_drives_a_robot_shares_no_memory(tmp_path: Path, options: tuple, en
     assert shared_memory(process) is shares
     process.terminate()
     assert process.wait(120.0) == 0
+
+
+def test_a_middleware_that_hangs_at_the_end_does_not_keep_the_process() -> None:
+    """A call into C that never comes back, with Python's lock held: the node has done its work."""
+    code = (
+        "import ctypes; from ctrl_rl_core.ros import running; running._FAREWELL_S = 0.5\n"
+        "with running._soon(): ctypes.PyDLL(None).pause()"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120.0)
+    assert (answer.returncode, answer.stderr) == (1, "")

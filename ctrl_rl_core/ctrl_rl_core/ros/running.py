@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import inspect
 import os
 import resource
@@ -38,6 +39,8 @@ EXIT_USAGE = 2
 _POLL_S = 0.1
 _BREATH_S = 0.001
 """Pause after a failure outside of all callbacks [s], so that a repeated one leaves the processor to others."""
+_FAREWELL_S = 10.0
+"""Time that the middleware has to close a node [s]."""
 _LEAST_FILES = 64
 """Files and sockets that a node may have open; the middleware alone takes some 30."""
 
@@ -232,9 +235,25 @@ def _close(node: SuiteNode | None) -> None:
         if node is not None and rclpy.ok():
             node.stop()
     finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        with _soon():
+            if node is not None:
+                node.destroy_node()
+            rclpy.try_shutdown()
+
+
+@contextmanager
+def _soon() -> Iterator[None]:
+    """End the process, with 1, if the block hangs: the node has finished its work by then.
+
+    Fast DDS 2.14 was seen to wait for one of its own threads for ever, with Python's lock held: no Python thread or
+    signal handler gets through, but faulthandler's thread does.
+    """
+    with open(os.devnull, "w") as nowhere:
+        faulthandler.dump_traceback_later(_FAREWELL_S, exit=True, file=nowhere)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
 
 def _explain(program: str) -> None:
