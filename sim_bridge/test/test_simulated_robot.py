@@ -20,7 +20,9 @@ def test_a_policy_drives_it_and_the_same_seed_is_the_same_episode() -> None:
     assert np.array_equal(first.states, again.states)
     sensors = first.trace[2].sensors
     assert sensors.time == pytest.approx(2 * TASK.episode.time_step)
-    assert (sensors.age, sensors.goal.tolist()) == (0.0, goal_of(TASK).tolist())
+    goal = goal_of(TASK)
+    assert goal is not None
+    assert (sensors.age, sensors.goal.tolist()) == (0.0, goal.tolist())
     assert np.array_equal(sensors.command, first.trace[2].command), "what was sent is sensed"
     assert sensors.speeds[0] > 0.05
 
@@ -43,3 +45,7 @@ def test_a_scan_is_shown_with_its_age_until_the_next() -> None:
     assert later.ranges is scan.ranges
     assert (scan.age, later.age) == (0.0, pytest.approx(0.2))
     world.close()
+
+
+def test_a_goal_along_a_corridor_has_no_place() -> None:
+    assert goal_of(load_navigation_task("curved_corridor")) is None

@@ -107,9 +107,14 @@ def begin(world: SimulatedWorld, seed: int) -> None:
         world.reset(seed)
 
 
-def goal_of(task: NavigationTask) -> Array:
-    """Return the middle of a task's goal as x, y, theta (3,) [m, m, rad], theta 0 where any will do."""
+def goal_of(task: NavigationTask) -> Array | None:
+    """Return the middle of a task's goal as x, y, theta (3,) [m, m, rad], theta 0 where any will do.
+
+    A goal along a corridor has no place of its own: None.
+    """
     region = task.goal.region
+    if region.disc is None and not {"x", "y"} <= region.intervals.keys():
+        return None
     place = region.disc.centre if region.disc is not None else [region.intervals[name].centre for name in ("x", "y")]
     heading = region.intervals["theta"].centre if "theta" in region.intervals else 0.0
     return np.array((*place, math.remainder(heading, 2.0 * math.pi)))

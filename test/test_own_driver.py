@@ -1,0 +1,41 @@
+"""A driver of one's own drives in the simulator and in a node, as the page says."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "howto" / "own_driver.md"
+
+
+def test_the_page_works_as_written(tmp_path: Path) -> None:
+    driver, node = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (tmp_path / "gap.py").write_text(driver, encoding="utf-8")
+    (tmp_path / "gap_node.py").write_text(node, encoding="utf-8")
+
+    def run(*words: str) -> str:
+        answer = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert answer.returncode == 0, answer.stderr
+        return answer.stdout
+
+    assert run("gap.py").startswith("5 episodes: 5 GOAL")
+    assert "Drives to where there is more room." in run("gap_node.py", "--help")
+    assert run("-c", _ONE_SCAN).split() == ["moves"]
+
+
+_ONE_SCAN = """
+import math
+from ctrl_rl_core.ros import initialise
+from gap_node import GapNode
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import LaserScan
+initialise(["gap"])
+node = GapNode()
+odometry = Odometry()
+odometry.pose.pose.orientation.w = 1.0
+scan = LaserScan(angle_increment=math.tau / 90, angle_max=math.tau * 89 / 90, range_min=0.1, range_max=8.0)
+scan.ranges = [3.0] * 90
+node.robot.hear_odometry(odometry)
+node.robot.hear_scan(scan)
+print("moves" if node.robot.moving else "stands", node.robot.problem)
+"""
