@@ -1,0 +1,74 @@
+"""Shortcuts of the sweeps: slabs as a whole where rows are short, and which nodes are near target and obstacles."""
+
+import math
+
+import numpy as np
+import pytest
+from ttr_reward_node.kernels.boundary_conditions import FIXED, FREE, LOST, NEAR
+from ttr_reward_node.kernels.stencil import StepTable, make_grid
+from ttr_reward_node.kernels.sweep import SweepSettings
+from ttr_reward_node.solvers import near_nodes, sweeper
+from ttr_reward_node.solvers.steps import make_layout, make_steps
+from ttr_reward_node.verification.cost import make_problem
+
+from ttr_reward_node import problem_from_task
+
+RATE = 0.01  # of the transform w = exp(-RATE phi) [1/s]
+QUADROTOR = {"x": 9, "v_x": 8, "z": 9, "v_z": 8, "psi": 8, "omega": 5}
+
+
+def test_slabs_follow_the_rule_of_rows():
+    """A dozen slabs are found from given values of all others, row by row and as a whole, in each phase."""
+    problem = problem_from_task("quad_ttr", counts=QUADROTOR)
+    layout, steps, table, grid = _tables(problem)
+    near = near_nodes.find_near_nodes(problem, layout, steps, table, grid, RATE)
+    random = np.random.default_rng(0)
+    some = np.zeros(layout.slabs, dtype=bool)
+    some[random.choice(layout.slabs, 12, replace=False)] = True
+    open_ = np.repeat(some, near.flags.size // layout.slabs) & (near.flags != FIXED)
+    near.flags[~open_ & (near.flags != FIXED)] |= LOST
+    places = np.indices(layout.counts).reshape(len(layout.counts), -1)
+    times = 0.3 * np.abs(places - 0.5 * layout.counts[:, None]).sum(axis=0) + 0.02 * random.random(near.flags.size)
+    given = np.where((places[0] == 0) | (random.random(times.size) < 0.02), 0.0, np.exp(-RATE * times))
+    given = np.where(near.flags == FIXED, near.values, np.where(open_, 0.0, given)).astype(np.float32)
+    first = SweepSettings(RATE, math.inf, 0.0, 0.0, False, 0, 0)
+    sharp = first._replace(jump=2.0, enough=0.75)
+    for phase in (first, sharp, sharp._replace(curved=True)):
+        found = []
+        for kind in (sweeper._RowSweeper, sweeper._SlabSweeper):
+            sweeps = kind(grid, table, near, 1)
+            sweeps.values[:] = given
+            sweeps.restart()
+            for number in range(1, 10):
+                sweeps.sweep(phase._replace(number=number, bits=number), number)
+            found.append(sweeps.values[open_])
+        assert np.mean(found[0] > 0.0) > 0.2
+        np.testing.assert_allclose(found[1], found[0], rtol=2e-5, atol=1e-6)
+
+
+def _tables(problem):
+    layout = make_layout(problem)
+    steps = make_steps(problem, layout)
+    discounts = np.exp(-RATE * steps.durations).astype(np.float32)
+    discounts[0] = 0.0
+    long = steps.lengths > 3.5
+    table = StepTable(steps.codes, steps.ends, steps.ranges, long, steps.controls, discounts, steps.durations)
+    axes = len(layout.order)
+    return layout, steps, table, make_grid(layout.counts[:axes], layout.periodic[:axes], len(layout.outer))
+
+
+@pytest.mark.parametrize("name", ["car", "quadrotor", "bicycle"])
+def test_no_node_that_a_step_could_end_near_is_left_out(monkeypatch, name):
+    counts = {"car": {"x": 25, "y": 25, "theta": 12}, "quadrotor": QUADROTOR}
+    tasks = {"car": "car_ttr", "quadrotor": "quad_ttr"}
+    problem = problem_from_task(tasks[name], counts=counts[name]) if name in tasks else make_problem("4D bicycle", 1e4)
+    layout, steps, table, grid = _tables(problem)
+    some = near_nodes.find_near_nodes(problem, layout, steps, table, grid, RATE)
+
+    def flag_all(_problem, _layout, _steps, flags):
+        flags[flags == FREE] = NEAR
+
+    monkeypatch.setattr(near_nodes, "_flag_near", flag_all)
+    every = near_nodes.find_near_nodes(problem, layout, steps, table, grid, RATE)
+    assert np.array_equal(some.flags, every.flags)
+    assert np.array_equal(some.outcomes, every.outcomes)
