@@ -1,4 +1,4 @@
-"""Values and derivatives of a nonlinear program as arrays, and which of them is no number."""
+"""Values and derivatives of a nonlinear program as arrays, and which of them are not finite."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Compiled:
 
     Args:
         function: Function of dense arguments.
-        wanted: Outputs that are computed.
+        wanted: Outputs to compute.
 
     Attributes:
         rows: Row of each entry of the last wanted output (E,).
@@ -38,7 +38,7 @@ class Compiled:
         self.rows, self.columns = np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Return the wanted outputs' entries; they hold until the next call."""
+        """Return the wanted outputs' entries, valid until the next call."""
         for place, given in zip(self._in, arguments, strict=True):
             place[:] = given
         self._run()
@@ -46,7 +46,7 @@ class Compiled:
 
 
 class Derivatives:
-    """Derivatives of one program, by the functions that its solver has.
+    """Derivatives of one program, by its solver's functions.
 
     Attributes:
         cost: Cost (variables, start).
@@ -64,7 +64,7 @@ class Derivatives:
         self.hessian = Compiled(hessian, hessian.n_out() - 1)
 
     def trouble(self, variables: Array, start: Array) -> str:
-        """Say which value or derivative is no number at a point; empty where all are."""
+        """Name a value or derivative that is not finite at a point; empty if there is none."""
         g, jacobian = self.jacobian(variables, start)
         (gradient,) = self.gradient(variables, start)
         (hessian,) = self.hessian(variables, start, np.ones(1), np.ones(len(g)))
@@ -87,7 +87,7 @@ class Derivatives:
         return ""
 
     def _words(self, value: float, row: int | None, column: int | None, second: bool) -> str:
-        """Say what is no number: a constraint's value, or the derivative of a constraint or the cost by a variable."""
+        """Name what is not finite: a constraint's value, or the derivative of a constraint or the cost."""
         of = "the cost" if row is None else self._constraint(row)
         if second:
             of = "the Lagrangian"
@@ -114,7 +114,7 @@ class Derivatives:
 
 
 def undefined_start(problem: OptimalControlProblem, start: Array) -> str:
-    """Say which rate of the model has no value in a start (n,), whatever the control; empty where all have one."""
+    """Name a rate of the model without a value in a start (n,), for any control; empty if there is none."""
     system = problem.system
     low, high = system.control_bounds
     controls = np.vstack((0.5 * (low + high), low, high, np.clip(0.0, low, high), low + 0.3 * (high - low)))
@@ -129,7 +129,7 @@ def undefined_start(problem: OptimalControlProblem, start: Array) -> str:
 
 
 def singular_derivative(problem: OptimalControlProblem, start: Array) -> str:
-    """Say which derivative of the model itself is no number in a start (n,); empty where all are numbers."""
+    """Name a derivative of the model that is not finite in a start (n,); empty if there is none."""
     system = problem.system
     x, u = casadi.SX.sym("x", len(system.states)), casadi.SX.sym("u", len(system.controls))
     by_state = casadi.Function("f_x", [x, u], [casadi.jacobian(system.dynamics(x, u, math=casadi), x)])

@@ -1,7 +1,7 @@
-"""A solver in a process of its own, which ends at a limit of its processor time whatever the solver does.
+"""Runs a solver in its own process, which the kernel ends at a limit of CPU time.
 
-An interior point may loop in its own code without asking back (fatrop does where a derivative is NaN): no signal
-reaches Python then. The kernel ends a process that has used its time.
+An interior point may loop in its own code without calling back, as fatrop does if a derivative is NaN; Python then gets
+no signal.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _WAIT = 10.0
-"""Wall time that is waited for a second of processor time, on a busy machine; then the process is ended, too."""
+"""Maximum wall time per second of CPU time on a busy machine, after which the process is ended too."""
 _seconds_elsewhere = 0.0
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a solver said.
+    """A solver's answer.
 
     Attributes:
-        variables: Variables where it ended.
-        multipliers: Multipliers of the constraints there.
-        success: Whether it calls that a solution.
-        status: Its status, in its own words.
+        variables: Final variables.
+        multipliers: Final multipliers of the constraints.
+        success: Whether the solver reports success.
+        status: The solver's status.
         iterations: Number of iterations.
         seconds: Processor time [s].
     """
@@ -47,10 +47,10 @@ class Answer:
 
 
 class LimitedSolver:
-    """Asks a CasADi solver in a process that is forked on the first call and ends with this object.
+    """Runs a CasADi solver in a process that is forked on the first call and ends with this object.
 
     Args:
-        solver: Solver; what it prints is lost.
+        solver: Solver; its output is discarded.
     """
 
     def __init__(self, solver: Any) -> None:
@@ -60,11 +60,11 @@ class LimitedSolver:
         self._owner = 0
 
     def __call__(self, arguments: dict[str, Array], limit: float) -> Answer | None:
-        """Return the answer; None where it took more than `limit` seconds of processor time.
+        """Return the answer; None if it took more than `limit` seconds of CPU time.
 
         Args:
             arguments: Arguments of the solver by name.
-            limit: Processor time that it may take [s].
+            limit: Maximum CPU time [s].
         """
         global _seconds_elsewhere
         if self._connection is None or self._owner != os.getpid():  # a fork of this process has its own
@@ -105,7 +105,7 @@ class LimitedSolver:
 
 
 def seconds_elsewhere() -> float:
-    """Return the processor time that solvers of this process have taken in processes of their own [s]."""
+    """Return the CPU time of this process's solvers in their own processes [s]."""
     return _seconds_elsewhere
 
 
@@ -117,7 +117,7 @@ def _end(process: int, connection: Connection, owner: int) -> None:
 
 
 def _serve(solver: Any, connection: Connection) -> NoReturn:
-    """Answer calls until the other side is gone."""
+    """Answer calls until the other end closes."""
     try:
         # Nothing else of the parent's is held open: a lock on a file would last as long as this process.
         mine, most = connection.fileno(), os.sysconf("SC_OPEN_MAX")

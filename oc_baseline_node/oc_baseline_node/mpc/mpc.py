@@ -1,4 +1,4 @@
-"""MPC: trajectories of the optimal control problem (thesis Eq. 3.16), from anywhere or from a trajectory nearby."""
+"""MPC: solves the optimal control problem (thesis Eq. 3.16) from scratch or from a nearby trajectory."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Array = NDArray[np.float64]
 Guess = tuple[Array, Array]
 _SIMPLIFICATIONS = ("", " (with the least control alone)", " (with a state cost that does not grow)")
 _NUDGES = (1e-6, 1e-4, 1e-2, 1e-1)
-"""How far a guess is moved where a derivative there is no number, as a part of one and of each variable."""
+"""Relative and absolute distance by which to move a guess where a derivative is not finite."""
 _FATROP_SHARE = 0.25
-"""Share of the time limit after which fatrop is ended, so that ipopt has its turn."""
+"""Fraction of the time limit after which fatrop is ended, so that ipopt has its turn."""
 _FAR = 0.25
-"""Share of a period from which on the other way round may be the cheaper one, for what the other states have to do."""
+"""Fraction of a period from which the other way round may be cheaper, because of the other states."""
 _DAMPINGS = (0.0, 0.0, 1e-2, 1e-1, 1.0, 1.0)
-"""Damping of each quadratic program from a trajectory nearby: full steps first, shorter ones where these lead off."""
+"""Damping of each quadratic program from a nearby trajectory: full steps first, shorter ones if these diverge."""
 _SETTLED = 0.1
-"""Change of the cost, as a part of it, below which the next quadratic program would change less than a hundredth."""
+"""Relative change of the cost below which the next quadratic program would change less than a hundredth."""
 
 
 class Mpc:
@@ -80,12 +80,12 @@ class Mpc:
 
     @cached_property
     def rounded(self) -> tuple[str, ...]:
-        """Operations of the model that were rounded off for the solvers, as they have no derivative somewhere."""
+        """Operations of the model that were smoothed for the solvers, because they lack a derivative somewhere."""
         return model_rates(self.problem)[1]
 
     @cached_property
     def _asked(self) -> tuple[SolverName, ...]:
-        """Solvers that are asked, in order."""
+        """Solvers, in the order in which they are tried."""
         return ("ipopt",) if "ipopt" in self._solvers and self.rounded else self._solvers
 
     def solve(
@@ -100,8 +100,8 @@ class Mpc:
         Args:
             start: Start state x_0 (n,).
             guess: States (H+1, n) and controls (H, m) to begin with, such as a trajectory nearby (a warm start).
-            check_start: Whether a start that breaks the constraints is refused without asking a solver.
-            multipliers: Multipliers of the constraints that belong to the guess (M,), where they are known.
+            check_start: Whether to refuse a start that violates the constraints without trying a solver.
+            multipliers: Multipliers of the constraints for the guess (M,), if known.
         """
         start = np.asarray(start, dtype=float)
         refusal = (self.problem.refusal(start) if check_start else "") or undefined_start(self.problem, start)
@@ -132,13 +132,13 @@ class Mpc:
         return replace(best, reason=reason, iterations=iterations, cpu_seconds=seconds)
 
     def shift(self, multipliers: Array, steps: int) -> Array | None:
-        """Return multipliers (M,) for a trajectory that is shifted by `steps`; None where they are not known."""
+        """Return multipliers (M,) for a trajectory shifted by `steps`; None if they are unknown."""
         return self._tool(0, self._asked[0]).sqp.shift(multipliers, steps) if len(multipliers) else None
 
     def _solve_way(
         self, terminal: Region, start: Array, bounds: Array, guesses: list[Guess], tries: list[MpcSolution]
     ) -> MpcSolution:
-        """Return the trajectory that ends in one of the places where the terminal set is, and add all attempts."""
+        """Return the trajectory that ends in one copy of the terminal set, and sum up all attempts."""
         mine: list[MpcSolution] = []
         for name, guess in product(self._asked, guesses):
             mine.append(self._attempt(0, name, start, guess, bounds, terminal, tries))
@@ -153,7 +153,7 @@ class Mpc:
     def _solve_by_continuation(
         self, start: Array, guess: Guess, bounds: Array, terminal: Region, tries: list[MpcSolution]
     ) -> list[MpcSolution]:
-        """Return trajectories of easier problems up to the problem itself, each begun with the one before.
+        """Solve easier problems up to the problem itself, each starting from the one before.
 
         The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
         """
@@ -176,7 +176,7 @@ class Mpc:
         terminal: Region,
         tries: list[MpcSolution],
     ) -> MpcSolution:
-        """Return the result of one solver for one of the problems, and add it to `tries`."""
+        """Run one solver on one of the problems; append the result to `tries` and return it."""
         tool, problem = self._tool(rung, name), self.problem
         left = self._time_limit - sum(each.cpu_seconds for each in tries)
         share = min(left, _FATROP_SHARE * self._time_limit) if name == "fatrop" and "ipopt" in self._asked else left
@@ -204,7 +204,7 @@ class Mpc:
         return tries[-1]
 
     def _solve_nearby(self, start: Array, guess: Guess, multipliers: Array | None) -> MpcSolution:
-        """Return the trajectory to which a few quadratic programs lead from a trajectory nearby."""
+        """Solve a few quadratic programs from a nearby trajectory."""
         problem, tool = self.problem, self._tool(0, self._asked[0])
         layout, sqp = tool.program.layout, tool.sqp
         begin = time.process_time()
@@ -227,7 +227,7 @@ class Mpc:
         return unsolved(problem, start, reason, found.iterations, time.process_time() - begin)
 
     def _beside(self, start: Array, guess: Guess) -> Guess:
-        """Return a guess with its states on circles moved by whole periods, so that it begins beside the start."""
+        """Move a guess's states on circles by whole periods, so that it begins next to the start."""
         states, controls = guess
         turn = nearest_turn(states[0], start, self.problem.periods) - states[0]
         return states + turn, controls
@@ -239,7 +239,7 @@ class Mpc:
 
 
 class _Tool:
-    """A problem's program with its solver, its derivatives and its quadratic programs."""
+    """A problem's program with its solver, derivatives and quadratic programs."""
 
     def __init__(self, problem: OptimalControlProblem, name: SolverName, max_iterations: int) -> None:
         self.program = transcribe(problem, name, max_iterations)

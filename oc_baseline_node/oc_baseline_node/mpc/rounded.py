@@ -47,7 +47,7 @@ def rounded(function: casadi.Function) -> tuple[casadi.Function, tuple[str, ...]
 
 
 def _corners(function: casadi.Function) -> tuple[str, ...]:
-    """Return the names of the operations that have no derivative somewhere, in the order in which they come."""
+    """Return the names of the operations that lack a derivative somewhere, in order of appearance."""
     constant: dict[int, bool] = {}
     found: dict[str, None] = {}
     for k in range(function.n_instructions()):

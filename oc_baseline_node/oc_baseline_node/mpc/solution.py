@@ -1,4 +1,4 @@
-"""Result of the solvers for one start, and whether it keeps every constraint."""
+"""Result of the solvers for one start, checked against every constraint."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class MpcSolution:
 def unsolved(
     problem: OptimalControlProblem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0
 ) -> MpcSolution:
-    """Return the result where there is no trajectory from a start (n,)."""
+    """Return the result for a start (n,) without a trajectory."""
     states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
     states[0] = start if start.shape == states[0].shape else np.nan
     controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
@@ -79,7 +79,7 @@ def checked(
 def violated_constraint(
     problem: OptimalControlProblem, start: Array, states: Array, controls: Array, time_step: float
 ) -> str:
-    """Say which constraint a trajectory misses by more than the tolerance, checked against the real boxes."""
+    """Name a constraint that a trajectory violates by more than the tolerance, checked against the real boxes."""
     low, high = problem.bounds_around(start)
     u_low, u_high = problem.system.control_bounds
     steps = problem.system.step(states[:-1], controls, dt=time_step)
@@ -104,9 +104,9 @@ def violated_constraint(
 def _clearance_between_samples(
     problem: OptimalControlProblem, states: Array, controls: Array, time_step: float
 ) -> float:
-    """Return how near a trajectory comes to an obstacle between its samples [m], but for the step from the start.
+    """Return the minimum clearance of a trajectory between its samples [m], apart from the first step.
 
-    The start may lie at d_min, from where a step leads nearer to a corner before it leads away.
+    The start may lie at d_min, from where a step may pass closer to a corner.
     """
     if not problem.obstacles:
         return np.inf

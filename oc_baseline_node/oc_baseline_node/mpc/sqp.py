@@ -1,4 +1,4 @@
-"""Sequential quadratic programming from a trajectory nearby: few programs, where an interior point begins anew.
+"""Sequential quadratic programming from a nearby trajectory: it needs few programs, unlike an interior point.
 
 Each step solves the quadratic program of the point (exact Hessian of the Lagrangian), stage by stage. From the plan of
 the step before one or two of them do: real-time iterations (Diehl, Bock, Schlöder, SIAM J. Control Optim. 43, 2005).
@@ -18,22 +18,22 @@ from oc_baseline_node.mpc.transcription import NonlinearProgram
 
 Array = NDArray[np.float64]
 _DAMPING = (1e-4, 1e-2, 1.0)
-"""Numbers added to the Hessian's diagonal, tried in turn until the program has a minimum."""
+"""Values to add to the Hessian's diagonal, tried in turn until the program has a minimum."""
 _BEGINNINGS = ((1e-2, 1e-4), (1e-2, 1.0), (1.0, 1e2))
 """Minimum slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
 _NEAR = 1.0
-"""An obstacle further than this is left out of a quadratic program [m]; the trajectory is checked against all."""
+"""Distance beyond which a quadratic program omits an obstacle [m]; the trajectory is checked against all."""
 
 
 _GAP = 1e-4
-"""Part of the cost that the inequalities of a program may leave."""
+"""Tolerance of a program's inequalities, relative to the cost."""
 _LEAST_GAP, _LARGEST_GAP = 1e-12, 1e-8
 """Range of the same for one inequality, in the program's units."""
 
 
 @dataclass(frozen=True)
 class SqpStep:
-    """Where a quadratic program leads.
+    """Solution of a quadratic program.
 
     Attributes:
         variables: Variables of the program.
@@ -73,14 +73,14 @@ class StageSqp:
     def step(
         self, variables: Array, start: Array, bounds: dict[str, Array], multipliers: Array, least_damping: float = 0.0
     ) -> SqpStep | None:
-        """Return where the quadratic program at a point leads; None where it has no solution.
+        """Solve the quadratic program at a point; None if it has no solution.
 
         Args:
             variables: Variables of the program at the point.
             start: Start state x_0 (n,).
             bounds: Bounds of the variables, lbx and ubx.
             multipliers: Multipliers of the constraints there (M,); zeros leave their curvature out.
-            least_damping: Number that is added to the Hessian's diagonal at least: the larger, the shorter the step.
+            least_damping: Minimum value to add to the Hessian's diagonal; larger values shorten the step.
         """
         K, n, w = self._K, self._n, self._w
         g, jacobian = self._derivatives.jacobian(variables, start)
@@ -137,7 +137,7 @@ class StageSqp:
         return out / gamma**steps
 
     def _compile(self) -> None:
-        """Have the recursion compiled, or read from where it lies compiled: that is no part of the first solution."""
+        """Compile the recursion, or load it from the cache, before the first solution."""
         empty = np.zeros((2, 1)), np.zeros((1, 1, 2)), np.zeros((2, 2)), np.zeros((2, 0, 2)), np.zeros((2, 0))
         H = np.stack((np.eye(2), np.eye(2)))
         solve_stages(
@@ -150,7 +150,7 @@ class StageSqp:
         return out.reshape(self._K + 1, self._w)
 
     def _index_jacobian(self) -> None:
-        """Note which entries of the sparse Jacobian are those of A and of G, and where they stand there."""
+        """Record which entries of the sparse Jacobian belong to A and to G, and where."""
         row, column = self._derivatives.jacobian.rows, self._derivatives.jacobian.columns
         program, w = self._program, self._w
         stage, local = column // w, column % w

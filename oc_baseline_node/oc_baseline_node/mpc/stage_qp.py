@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 _MOST_ITERATIONS = 40
 _RESIDUAL = 1e-7
-"""Share of the first residual of the equations that may be left."""
+"""Tolerance of the equations, relative to their first residual."""
 _SHORT, _MOST_SHORT = 1e-2, 3
 """A step below the first counts as none; so many in a row mean that the first slacks were too small."""
 _TO_EDGE = 0.995
@@ -50,12 +50,12 @@ def solve_stages(
         q: Gradients (K+1, w).
         A: Dynamics (K, n, w); the states come first in z.
         b: Offsets of the dynamics (K, n).
-        lower: Least z (K+1, w), -inf where free.
-        upper: Largest z (K+1, w), inf where free.
+        lower: Minimum z (K+1, w), -inf where free.
+        upper: Maximum z (K+1, w), inf where free.
         G: Rows (K+1, r, w).
         c: Offsets of the rows (K+1, r), inf for a row that does not count.
         first: First components of x_0 that are given (f,); the others are free.
-        damping: Number that is added to the diagonal of H.
+        damping: Value to add to the diagonal of H.
         complementarity: Mean product of slack and multiplier at which the program counts as solved.
         least_slack: Minimum slack to begin with.
         first_barrier: Product of slack and multiplier to begin with.
@@ -138,7 +138,7 @@ def _directions(
     d_slack: Array,
     d_weight: Array,
 ) -> float:
-    """Fill in the steps of slacks and multipliers towards z `new`, and return how much of them stays positive."""
+    """Fill in the steps of slacks and multipliers towards z `new`; return the fraction that keeps them positive."""
     stages, w = new.shape
     step = 1.0
     for k in range(stages):
@@ -186,7 +186,7 @@ def _riccati(
     F: Array,
     f: Array,
 ) -> bool:
-    """Fill in z `new`, the minimum with the barrier's terms; False where it is none, because H is indefinite."""
+    """Fill in z `new`, the minimum with the barrier's terms; return False if H is indefinite."""
     K, n, w = A.shape
     m = w - n
     M, v, T, t = np.empty((w, w)), np.empty(w), np.empty((n, w)), np.empty(n)

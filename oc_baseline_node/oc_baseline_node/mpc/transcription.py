@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 SolverName = Literal["ipopt", "fatrop"]
 Kind = Literal["dynamics", "start", "obstacle", "disc"]
 _LEAST_CLEARANCE = 0.05
-"""Smallest d_min in the corner-cutting allowance [m]: a corner that may be touched would make it infinite."""
+"""Minimum d_min in the corner-cutting allowance [m], which would be infinite for a corner that may be touched."""
 _COST_RANGE = 1e3
 """The maximum weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
 
 
 class Layout:
-    """Where states, controls and the time step of a problem stand in the vector of variables."""
+    """Places of states, controls and time step in the vector of variables."""
 
     def __init__(self, problem: OptimalControlProblem) -> None:
         low, high = problem.system.control_bounds
@@ -85,7 +85,7 @@ class NonlinearProgram:
 
 
 def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iterations: int) -> NonlinearProgram:
-    """Return the problem's program with its solver (which compiles nothing, but takes about a second to set up)."""
+    """Return the problem's program with its solver; setting it up takes about a second."""
     layout = Layout(problem)
     H, n = problem.horizon, layout.n
     rates, _ = model_rates(problem)
@@ -132,7 +132,7 @@ def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iteration
 
 
 def model_rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
-    """Return x'(x, u) for CasADi without corners, and what was rounded off for that; smooth models stay as they are.
+    """Return x'(x, u) for CasADi without corners, and the smoothed operations; smooth models are unchanged.
 
     Raises:
         OcError: The model's equations do not work with CasADi.
@@ -160,10 +160,10 @@ def _runge_kutta(rates: Any, x: Any, u: Any, dt: Any) -> Any:
 
 
 def corner_cutting_allowance(problem: OptimalControlProblem, rates: Any, step: Any) -> Any:
-    """Return by how much a step with rates x' (n,) may cut the corner of an obstacle [m], for CasADi.
+    """Return how far a step with rates x' (n,) may cut the corner of an obstacle [m], for CasADi.
 
-    Between two positions at d_min from a corner the way is a chord of the circle around it, which is nearer in its
-    middle by (v dt)^2 / (8 d_min).
+    Between two positions at d_min from a corner the path is a chord of the circle around the corner, whose centre is
+    closer by (v dt)^2 / (8 d_min).
     """
     speed_squared = sum(rates[index] ** 2 for index in problem.positions)
     return speed_squared * step**2 / (8.0 * max(problem.clearance, _LEAST_CLEARANCE))
@@ -188,7 +188,7 @@ def trajectory_cost(problem: OptimalControlProblem, states: Array, controls: Arr
 
 
 def _controls(layout: Layout, free: Any) -> Any:
-    """Return the whole u of a stage: variables where free, numbers where held."""
+    """Return the full u of a stage: variables where free, numbers where held."""
     u = casadi.SX(layout.held)
     for index, control in enumerate(layout.free_controls.tolist()):
         u[control] = free[index]
@@ -196,7 +196,7 @@ def _controls(layout: Layout, free: Any) -> Any:
 
 
 def variable_bounds(layout: Layout, state_bounds: Array, terminal: Region) -> dict[str, Array]:
-    """Return lbx and ubx; the start is bound by a constraint alone.
+    """Return lbx and ubx; the start is bound only by a constraint.
 
     Args:
         layout: Places of states and controls in the vector of variables.

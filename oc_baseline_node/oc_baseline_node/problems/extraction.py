@@ -48,7 +48,7 @@ class RlInfo:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model of Table 3.1 and why it is refused; no reasons: it meets both criteria."""
+    """A model of Table 3.1 and why it is refused; without reasons it meets both criteria."""
 
     model: str
     reasons: tuple[str, ...]
@@ -56,7 +56,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Extraction:
-    """Optimal control problem extracted from a task, with the reasons.
+    """Optimal control problem extracted from a task, with reasons.
 
     Attributes:
         info: RL info of the task.
@@ -71,7 +71,7 @@ class Extraction:
     problem: OptimalControlProblem
 
     def report(self) -> str:
-        """Return the extraction as text, for reading."""
+        """Return the extraction as text."""
         lines = [f"robot type    {self.info.robot_type}", f"RL state s    {_run_together(self.info.state)}"]
         for index, (name, (pays, parts)) in enumerate(self.info.reward.items()):
             lines.append(f"{'reward' if index == 0 else '':13} {pays:+g} {name} ({', '.join(parts) or 'elsewhere'})")
@@ -145,7 +145,7 @@ def assess(model: str, info: RlInfo) -> Candidate:
 
 
 def problem_lines(problem: OptimalControlProblem) -> list[str]:
-    """Return a problem in words and numbers, line by line."""
+    """Describe a problem, line by line."""
     system, H = problem.system, problem.horizon
     place = ", ".join(system.state_names[index] for index in problem.positions)
     trap = "" if problem.trap is None else f" - {problem.trap_weight:g} |p_k - p_trap|^2"

@@ -36,7 +36,7 @@ TIME_STEP_RANGE = (0.2, 4.0)
 MODELS_OWN = "the model's own bounds, as the task names none"
 """Source of a control's bounds."""
 _ROOM = 0.02
-"""Kept from what ends an episode, a touching body or the tilt limit, where the task's constants leave none [m, rad]."""
+"""Margin to what ends an episode, contact or the tilt limit, if the task has none [m, rad]."""
 _HEAVIEST = 1e100
 """Maximum weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
 _RANGES = {"planar_quadrotor": ("v_x", "v_z", "omega")}
@@ -63,8 +63,8 @@ class OptimalControlProblem:
         state_weight: Weight Q of the squared distance to the goal [1/m^2].
         control_weight: Weight R of the squared controls.
         trap_weight: Weight W of the squared distance to the trap [1/m^2].
-        goal: Middle p* of the goal (2,) [m].
-        trap: Middle of the trap (2,) [m], None for no trap.
+        goal: Centre p* of the goal (2,) [m].
+        trap: Centre of the trap (2,) [m], or None.
         terminal: Set in which x_H lies: the goal, within the task's terminal set.
         obstacles: Shapes from which a position keeps d_min.
         clearance: Minimum distance d_min from obstacles [m].
@@ -90,12 +90,12 @@ class OptimalControlProblem:
 
     @property
     def positions(self) -> list[int]:
-        """Where in x the two coordinates of the plane stand: x and y, x and z, or s and lateral."""
+        """Indices in x of the plane's two coordinates: x and y, x and z, or s and lateral."""
         return [0, 1] if self.task.corridor is not None else position_indices(self.system.state_names)
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Part of the task file that each control's bounds come from, or that they are the model's own (m,)."""
+        """Source of each control's bounds: a part of the task file, or the model (m,)."""
         spec = self.task.optimal_control
         freed = set(spec.controls) if spec is not None and self.form == "free_speed" else set()
         return tuple(
@@ -135,7 +135,7 @@ class OptimalControlProblem:
         return task_digest(self.task)
 
     def margin(self, states: ArrayLike) -> Array:
-        """Return how far (...) states (..., n) are from breaking d_min or the map's edge [m]; negative: broken."""
+        """Return the margin (...) of states (..., n) to d_min and the map's edge [m]; negative where violated."""
         states = np.asarray(states, dtype=float)
         points = states[..., self.positions]
         low, high = self.state_bounds[:, self.positions]
@@ -143,7 +143,7 @@ class OptimalControlProblem:
         return np.minimum(inside, signed_distance(self.obstacles, points) - self.clearance)
 
     def refusal(self, state: ArrayLike) -> str:
-        """Say why no trajectory can begin in `state` (n,); empty where nothing is known against it."""
+        """Explain why no trajectory can begin in `state` (n,); empty if it may."""
         state = np.asarray(state, dtype=float)
         names = self.system.state_names
         if state.shape != (len(names),) or not np.isfinite(state).all():
@@ -160,7 +160,7 @@ class OptimalControlProblem:
         return ""
 
     def terminal_violation(self, state: ArrayLike) -> float:
-        """Return by how much a state (n,) misses the terminal set [m, rad, ...]; zero or less inside."""
+        """Return how far a state (n,) is outside the terminal set [m, rad, ...]; zero or less inside."""
         state = np.asarray(state, dtype=float)
         out = coordinates.outside(self.terminal, self.system.state_names, self.periods, state)
         if self.terminal.disc is not None:
@@ -178,7 +178,7 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
             because the body collides at less.
 
     Raises:
-        OcError: the task lacks what the problem needs, or its terminal set is empty within the bounds.
+        OcError: The task lacks a part of the problem, or its terminal set is empty within the bounds.
     """
     oc = task.optimal_control
     if oc is None:
@@ -243,7 +243,7 @@ def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
 
 
 def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
-    """Return the goal ("final state in G", Eq. 3.16) as far as the task's terminal set allows, a hair smaller."""
+    """Return the goal ("final state in G", Eq. 3.16) within the task's terminal set, slightly shrunk."""
     goal, wanted = task.goal.region, (oc.terminal_set or task.goal).region
     intervals = {}
     for name in {**goal.intervals, **wanted.intervals}:
@@ -284,7 +284,7 @@ def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, 
 
 
 def _walls(task: NavigationTask) -> dict[str, Interval]:
-    """Return where the walls stand, by the position that they bound [m]; a corridor is open at its end."""
+    """Return the walls' coordinates by position component [m]; a corridor is open at its end."""
     if task.corridor is not None:
         half = 0.5 * task.corridor.width
         return {"s": Interval(0.0, np.inf), "lateral": Interval(-half, half)}

@@ -1,7 +1,7 @@
 """States in which V_oc needs no regression: a collision ends the episode, and Eq. 3.13 is the task's reward for it.
 
-A network that had to learn these steps of 1400 between neighbouring states would be wrong by hundreds everywhere else,
-where values differ by tens. NumPy only; a file of values carries its collision set.
+If a network had to learn these steps of 1400 between neighbouring states, it would err by hundreds elsewhere, where
+values differ by tens. NumPy only; a file of values carries its collision set.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class CollisionSet:
     """States in which the body, a disc, touches a wall or an obstacle, or tilts too far.
 
     Attributes:
-        shapes: walls and obstacles.
+        shapes: Walls and obstacles.
         radius: Radius of the robot's body [m].
-        reward: paid for a collision.
-        tilt_limit: largest |psi| [rad], infinite for none.
-        tilt_reward: paid beyond it.
+        reward: Reward of a collision.
+        tilt_limit: Maximum |psi| [rad], infinite for none.
+        tilt_reward: Reward beyond it.
     """
 
     shapes: tuple[Shape, ...]
@@ -74,7 +74,7 @@ class CollisionSet:
 
     @classmethod
     def of(cls, task: NavigationTask) -> CollisionSet:
-        """Return that of a task."""
+        """Return a task's collision set."""
         world = task.build_world()
         limit = np.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
         return cls(
@@ -86,7 +86,7 @@ class CollisionSet:
         )
 
     def rewards(self, names: tuple[str, ...], states: Array) -> Array:
-        """Return what is paid (N,) at states (N, n) with components `names`; NaN outside the set."""
+        """Return the rewards (N,) at states (N, n) with components `names`; NaN outside the set."""
         out = np.full(len(states), np.nan)
         points = states[:, position_indices(names)]
         new = np.append(True, np.any(points[1:] != points[:-1], axis=1))[: len(points)]  # a grid repeats each point

@@ -32,17 +32,17 @@ class MlpValue:
     """V_oc over a box of states; NaN outside.
 
     Attributes:
-        layers: weights (out, in) and biases (out,) of each layer, the last with one output.
-        axes: name, unit and domain of each state component, and how finely `grids` samples it.
-        offset: added to the scaled output [reward].
+        layers: Weights (out, in) and biases (out,) of each layer, the last with one output.
+        axes: Name, unit, domain and number of grid nodes of each state component.
+        offset: Offset of the scaled output [reward].
         scale: Scale of the network's output [reward].
-        task: name of the task.
+        task: Name of the task.
         task_digest: SHA-256 of the task.
-        collisions: where the value is known without the network, None for the network alone.
+        collisions: States with a known value, or None for the network alone.
         manifest: Description of the data and the quality of the fit, plain JSON values.
 
     Raises:
-        OcError: shapes that do not fit together, or numbers that are not finite.
+        OcError: Shapes do not fit together, or numbers are not finite.
     """
 
     layers: tuple[tuple[Array, Array], ...]
@@ -121,7 +121,7 @@ class MlpValue:
         )
 
     def _values_at_nodes(self) -> NDArray[np.float32]:
-        """Return the values at all nodes of the axes, some at a time: of six components there are millions."""
+        """Return the values at all nodes of the axes, in batches: six components have millions."""
         out = np.empty([axis.count for axis in self.axes], dtype=np.float32)
         flat, nodes = out.reshape(-1), [axis.nodes for axis in self.axes]
         for part in batches(flat.size):
@@ -134,7 +134,7 @@ class MlpValue:
         """Values (...) at states (..., n), NaN outside the domain.
 
         Raises:
-            OcError: states whose last dimension is not n.
+            OcError: The states' last dimension is not n.
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
@@ -170,7 +170,7 @@ class MlpValue:
         return replace(self, collisions=None)
 
     def _replace(self, rows: Array, values: Array) -> NDArray[np.bool_]:
-        """Put what is known of rows (N, n) in the place of the network's values (N,); return which collide."""
+        """Replace the network's values (N,) of colliding rows (N, n) by the known ones; return which collide."""
         collision = np.zeros(len(rows), dtype=bool)
         if self.collisions is not None:
             paid = self.collisions.rewards(self.state_names, rows)
@@ -209,7 +209,7 @@ class MlpValue:
 
 
 def feature_count(axes: tuple[Axis, ...]) -> int:
-    """Return how many inputs the network has."""
+    """Return the number of inputs."""
     return sum(2 if axis.periodic else 1 for axis in axes)
 
 

@@ -7,9 +7,9 @@
 
 The termination strategy says which agents are ready (thesis 2.4.3):
 
-    "async"  eta_continue: whoever has ended its option; the others go on (the thesis's)
-    "wait"   eta_all: all, once all have ended; who is early idles ("sync-wait")
-    "cut"    eta_any: all, once anyone has ended; the others are interrupted ("sync-cut")
+    "async"  eta_continue: agents whose option has ended; the others go on (the thesis's)
+    "wait"   eta_all: all, once all have ended; early ones idle ("sync-wait")
+    "cut"    eta_any: all, once one has ended; the others are interrupted ("sync-cut")
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class OptionEnvironment:
         self._mask = option_mask([len(agent.options) for agent in self.agents])
 
     def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
-        """Begin an episode, in which all are ready."""
+        """Begin an episode, with all agents ready."""
         generator = np.random.default_rng(seed)
         self.simulation.reset(generator)
         self._dropout = draw_dropout(self.drop, len(self.agents), self.simulation.step_limit, generator)
@@ -165,13 +165,13 @@ class OptionEnvironment:
         return self._decide(np.ones(count, dtype=bool), (), terminated=False, truncated=False)
 
     def step(self, choices: Mapping[str, int]) -> Decision:
-        """Let the ready begin their options and run until somebody must choose again.
+        """Start the options of the ready agents, and run until an agent must choose again.
 
         Args:
-            choices: Option of each agent that is ready, and of no other.
+            choices: Option of each agent that is ready, and no others.
 
         Raises:
-            OptionError: the episode is over, the agents are not those that are ready, or an option is not legal.
+            OptionError: The episode is over, these are not the ready agents, or an option is not legal.
         """
         for agent, option in self._checked(choices):
             self.simulation.begin(agent, option)
@@ -191,7 +191,7 @@ class OptionEnvironment:
                 return self._pause(rewards, terminated, truncated)
 
     def _is_time(self) -> bool:
-        """Whether somebody must choose."""
+        """Whether an agent must choose."""
         runs_none = self._running == NONE
         ready = bool((runs_none & self._present).any())
         return ready and (self.synchronisation != "wait" or bool(runs_none.all()))
@@ -266,7 +266,7 @@ class OptionEnvironment:
         return sorted(out)
 
     def figures(self) -> dict[str, Any]:
-        """Return what there is to say about the episode so far."""
+        """Return the episode's metrics so far."""
         return {"steps": self.steps, **self.simulation.figures()}
 
 

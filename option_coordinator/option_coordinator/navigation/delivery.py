@@ -127,7 +127,7 @@ class Delivery:
         self._arrived: float | None = None
 
     def see(self, pose: NDArray[np.float64]) -> AgentObservation:
-        """Return what a policy is told at a pose x, y, theta (3,), see `OBSERVED`, and which options make sense."""
+        """Return the observation at a pose x, y, theta (3,), see `OBSERVED`, and the sensible options."""
         wanted = {Work.WAIT}
         if self.delivered == self._team.deliveries:
             wanted.add(Work.REST)
@@ -142,14 +142,14 @@ class Delivery:
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Position that the option leads to [m], None for none."""
+        """Position that the option leads to [m], or None."""
         if self.option is None:
             return None
         option = self._options[self.option]
         return self._home if option.work is Work.REST else option.station
 
     def at_place(self, now: float) -> OptionResult | None:
-        """Note that the robot is where its option leads; return what the option brought once it is done."""
+        """Record that the robot has reached its option's position; return the result once the option is done."""
         if self.option is None:
             return None
         self._arrived = now if self._arrived is None else self._arrived
@@ -165,7 +165,7 @@ class Delivery:
         return self.leave(now, reward)
 
     def leave(self, now: float, reward: float = 0.0) -> OptionResult:
-        """End the option as it stands, and return what it brought, with a reward at its last step."""
+        """End the option and return its result, with a reward at its last step."""
         steps = max(1, round((now - self._began) / self._team.time_step))
         gamma = self._team.discount
         on_the_way = self._team.rewards.step * float(np.sum(gamma ** np.arange(steps)))
@@ -173,5 +173,5 @@ class Delivery:
         return OptionResult(on_the_way + gamma ** (steps - 1) * reward, steps)
 
     def over(self, option: int) -> bool:
-        """Return whether the work is over with the end of an option."""
+        """Return whether the work is over after an option."""
         return self._options[option].work is Work.REST

@@ -51,7 +51,7 @@ _FINE = (
     "words of other teams",
     "messages of other teams",
 )
-"""Counters of events that are no faults."""
+"""Counters of events that are not faults."""
 
 PARAMETERS = (
     Parameter(
@@ -99,7 +99,7 @@ PARAMETERS = (
 
 
 class OptionCoordinator(SuiteNode):
-    """Grants options to robots that ask when they are ready; no robot waits for another one.
+    """Grants options to robots when they are ready and ask; no robot waits for another one.
 
     Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
     which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Several
@@ -141,7 +141,7 @@ class OptionCoordinator(SuiteNode):
         self.get_logger().info(f"policy {self._policy_name(digest)}, {of_team}")
 
     def on_parameter_changed(self, name: str) -> None:
-        """Take another policy for all decisions to come."""
+        """Use another policy for all further decisions."""
         if name == "policy":
             chooses, digest = self._chooser()
             self._coordinator.replace_policy(chooses, digest)
@@ -226,7 +226,7 @@ class OptionCoordinator(SuiteNode):
         return timed
 
     def _on_message(self, read: Callable[[Any], Any], take: _Take, message: Any) -> None:
-        """Take a message; one that is refused is counted, and logged now and then."""
+        """Handle a message; count a refused one, and log it now and then."""
         try:
             content = read(message)
         except MessageError as error:
@@ -242,7 +242,7 @@ class OptionCoordinator(SuiteNode):
         return answers
 
     def _begin_batch(self) -> None:
-        """Schedule one decision for all pending requests, and those that arrive until then."""
+        """Schedule one decision for all requests that arrive until then."""
         self._batch_ends = True
         if self.settings["batch_window"] > 0.0:
             self._window.reset()
@@ -280,7 +280,7 @@ class OptionCoordinator(SuiteNode):
         return self._began
 
     def _team_name(self) -> str:
-        """Return the given name, the team file's, or one that is the same for all policies of the same robots."""
+        """Return the given team name, the team file's, or one that all policies of the robots share."""
         given: str = self.settings["team_name"]
         if len(given) > LONGEST_NAME:
             raise ParameterError(f"parameter 'team_name' has {len(given)} characters: must be at most {LONGEST_NAME}")

@@ -26,15 +26,15 @@ from option_coordinator.options.options import NONE, Mask, PolicyQuery, option_m
 Array = NDArray[np.floating]
 JointOptions = NDArray[np.int64]
 ENUMERABLE = 4096
-"""Joint options up to which the entropy is found by going through all of them: milliseconds."""
+"""Maximum number of joint options to enumerate for the entropy, which takes milliseconds."""
 MODE_ENUMERABLE = 128
-"""The same for the most likely one, which robots wait for: tenths of one."""
+"""Maximum number to enumerate for the most likely one, in tenths of a millisecond, because robots wait for it."""
 _DRAWS = 1000
 _NOT_FINITE = "the policy's probabilities are not finite: nothing can be chosen by them"
 
 
 class Conditional(ABC):
-    """pi-hat(. | o_not-U, s): a distribution over the options of those that choose.
+    """pi-hat(. | o_not-U, s): a distribution over the choosing agents' options.
 
     Attributes:
         counts: Number of options of each of the N agents.
@@ -49,14 +49,14 @@ class Conditional(ABC):
 
     @abstractmethod
     def log_prob(self, options: JointOptions) -> Array:
-        """Return log pi-hat (...,) of options (..., N); only those of who chooses count, illegal ones give -inf."""
+        """Return log pi-hat (...,) of options (..., N); only choosing agents' count, and illegal ones give -inf."""
 
     @abstractmethod
     def sample(self, generator: np.random.Generator) -> JointOptions:
-        """Return options (N,): a draw for who chooses, the running ones of the others, `NONE` for the absent."""
+        """Return options (N,): draws for choosing agents, the running ones of others, `NONE` for absent ones."""
 
     def mode(self) -> JointOptions:
-        """Return the most likely options (N,); beyond `MODE_ENUMERABLE` joint options those of `_rough_mode`."""
+        """Return the most likely options (N,), by `_rough_mode` beyond `MODE_ENUMERABLE` joint options."""
         if self.size > MODE_ENUMERABLE:
             return self._rough_mode()
         choices = self.choices()
@@ -72,7 +72,7 @@ class Conditional(ABC):
         return float(-np.sum(np.exp(logs) * logs))
 
     def with_chosen(self, chosen: JointOptions | Sequence[Any]) -> JointOptions:
-        """Return joint options (N,): these for who chooses, the running ones of the others, `NONE` for the absent."""
+        """Return joint options (N,): these for choosing agents, the running ones of others, `NONE` for absent ones."""
         out = self.running.copy()
         out[self.choosing] = chosen
         return out
@@ -94,7 +94,7 @@ class Conditional(ABC):
 
     @abstractmethod
     def _rough_mode(self) -> JointOptions:
-        """Return likely options where there are too many to go through."""
+        """Return likely options without enumerating all."""
 
 
 class JointPolicy(ABC):
@@ -123,13 +123,13 @@ class JointPolicy(ABC):
         """Return pi-hat for one decision.
 
         Args:
-            observation: Observations of all agents, one after the other (observation_size,).
+            observation: Observations of all agents, concatenated (observation_size,).
             choosing: Whether each agent chooses; agents that run an option do not (N,).
             running: Option of each agent that runs one, `NONE` for the others (N,).
             legal: Whether each agent may choose each option (N, K), K the largest count; all unless given.
 
         Raises:
-            OptionError: wrong sizes, an observation that is not finite, options out of range, or nothing legal.
+            OptionError: Sizes are wrong, the observation is not finite, options are out of range, or none is legal.
         """
         legal = self.option_mask if legal is None else np.asarray(legal, dtype=bool)
         if legal.shape != self.option_mask.shape:
@@ -142,13 +142,13 @@ class JointPolicy(ABC):
     def choose(
         self, query: PolicyQuery, generator: np.random.Generator | None = None
     ) -> tuple[JointOptions, Conditional]:
-        """Return options (N,), drawn by the generator or the most likely ones without it, and pi-hat; as `given`."""
+        """Return options (N,), drawn by the generator or else the most likely, and pi-hat; see `given`."""
         conditional = self.given(query.observation, query.choosing, query.running, query.legal)
         return conditional.mode() if generator is None else conditional.sample(generator), conditional
 
     @abstractmethod
     def valid(self, query: PolicyQuery) -> Conditional:
-        """Return pi-hat for a decision that is known to be in order, as those of `OptionEnvironment` are."""
+        """Return pi-hat without checking the decision, for instance one of `OptionEnvironment`."""
 
     def _check(self, query: PolicyQuery) -> None:
         observation, choosing, running = query.observation, query.choosing, query.running
@@ -169,7 +169,7 @@ class JointPolicy(ABC):
 
 
 def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
-    """Return log sum exp, -inf where everything is."""
+    """Return log sum exp, -inf if all terms are."""
     top = np.maximum.reduce(x, axis=axis, keepdims=True, initial=-np.inf)  # the methods take twice as long
     if np.isfinite(top).all():  # as nearly always: the rest costs more than this
         out = np.log(np.add.reduce(np.exp(x - top), axis=axis, keepdims=True)) + top
@@ -181,10 +181,10 @@ def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
 
 
 def draw(log_probabilities: Array, generator: np.random.Generator) -> JointOptions:
-    """Return a draw (...) from each row of normalised log-probabilities (..., K).
+    """Draw (...) from each row of normalised log-probabilities (..., K).
 
     Raises:
-        OptionError: they are not numbers, as a network's whose observations or weights are too large.
+        OptionError: They are NaN, for instance because a network's observations or weights are too large.
     """
     total = np.cumsum(np.exp(log_probabilities), axis=-1)
     if not np.isfinite(total[..., -1]).all():
@@ -195,10 +195,10 @@ def draw(log_probabilities: Array, generator: np.random.Generator) -> JointOptio
 
 
 def most_likely(log_probabilities: Array) -> int:
-    """Return the index, flat, of the largest.
+    """Return the flat index of the maximum.
 
     Raises:
-        OptionError: as `draw`.
+        OptionError: As in `draw`.
     """
     best = int(np.argmax(log_probabilities))  # the first that is not a number, if there is one
     if not np.isfinite(log_probabilities.flat[best]):

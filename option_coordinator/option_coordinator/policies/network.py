@@ -177,7 +177,7 @@ class _TableConditional(Conditional):
 
 _CLIMBERS = 3
 _SWEEPS = 5
-"""At most so many: robots wait for the answer."""
+"""Maximum number of improvements, because robots wait for the answer."""
 
 
 class Mixture(NetworkPolicy):
@@ -239,9 +239,9 @@ class _MixtureConditional(Conditional):
         return self.with_chosen(draw(self._factors[component], generator))
 
     def _rough_mode(self) -> JointOptions:
-        """Return the best of the components' own modes, improved agent by agent as long as that helps, if not for ever.
+        """Return the best of the components' modes, after a limited number of improvements agent by agent.
 
-        Only the best few are improved: what the others begin from is far less likely.
+        Only the best few are improved, because the others are far less likely.
         """
         starts = np.stack([self.with_chosen(np.argmax(factors, axis=-1)) for factors in self._factors])
         order = np.argsort(-self.log_prob(starts))[:_CLIMBERS]
@@ -249,7 +249,7 @@ class _MixtureConditional(Conditional):
         return ends[most_likely(self.log_prob(ends))]
 
     def _climb(self, options: JointOptions) -> JointOptions:
-        """Change one agent's option after the other to its best, given the rest."""
+        """Set each agent's option in turn to its best, given the rest."""
         agents = np.arange(len(self._agents))
         chosen = options[self._agents]
         terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri, of what is chosen

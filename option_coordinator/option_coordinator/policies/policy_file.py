@@ -58,15 +58,15 @@ HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the policies that come with the package, by name, which is that of their team."""
+    """Return the shipped policies by the name of their team."""
     return {file.stem: file for file in sorted((Path(__file__).parent / "pretrained").glob("*.safetensors"))}
 
 
 def policy_file(name_or_path: Path | str) -> Path:
-    """Return the file of a policy that comes with the package, by name, or the path itself.
+    """Return the file of a shipped policy, or the path itself.
 
     Raises:
-        OptionError: there is no such policy.
+        OptionError: There is no such policy.
     """
     shipped = shipped_policies()
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
@@ -82,10 +82,10 @@ def policy_file(name_or_path: Path | str) -> Path:
 def make_policy(
     head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool, presence: bool = False
 ) -> JointPolicy:
-    """Return a joint policy from its tensors; those of a partial one are named "0.", "1." and so on.
+    """Make a joint policy from its tensors; a partial one's begin with "0.", "1." and so on.
 
     Raises:
-        OptionError: there is no such kind, or a tensor is missing.
+        OptionError: There is no such kind, or a tensor is missing.
     """
     if head not in HEADS:
         raise OptionError(f"no kind of joint policy '{head}': there are {', '.join(HEADS)}")
@@ -138,11 +138,11 @@ class OptionPolicy:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of the file that it was read from, else of the file that `save` would write."""
+        """SHA-256 (hex) of its file, or of the file that `save` would write."""
         return hashlib.sha256(self._content()).hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write it; the file is there whole or not at all."""
+        """Write it atomically."""
         atomic_write(path, self._content())
 
     def _content(self) -> bytes:
@@ -156,7 +156,7 @@ class OptionPolicy:
         """Read the policy of a team.
 
         Raises:
-            OptionError: as for `load`, or it is of another team.
+            OptionError: As in `load`, or it is another team's.
         """
         policy = cls.load(path)
         if policy.agents != tuple(agents):
@@ -166,10 +166,10 @@ class OptionPolicy:
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read a policy that comes with the package, by name, or a file.
+        """Read a shipped policy by name, or a file.
 
         Raises:
-            OptionError: the file is missing or is no such policy; the message names it.
+            OptionError: The file is missing, or is not such a policy; the message names it.
         """
         file = policy_file(path)
         with raise_as(OptionError, file):
@@ -183,10 +183,10 @@ class OptionPolicy:
         return policy
 
     def check(self) -> None:
-        """Refuse what cannot choose.
+        """Check that the policy can choose.
 
         Raises:
-            OptionError: a tensor is missing or of another size.
+            OptionError: A tensor is missing, or has another size.
         """
         everyone = np.ones(len(self.agents), dtype=bool)
         try:

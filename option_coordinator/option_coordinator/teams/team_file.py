@@ -1,7 +1,7 @@
 """Team files: YAML descriptions, shared by coordinator and robots, of a team that drives between stations.
 
-Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. Its options are the
-same as everybody's: to wait, or to drive to a station and do what is done there.
+Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. All robots have the same
+options: to wait, or to drive to a station and work there.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class Work(StrEnum):
 
 
 class NavigationOption(Part):
-    """One option: what it is for, the longest it may take, and where it leads, but for the two that lead nowhere else.
+    """One option: its work, its time limit, and its position, if it has one.
 
     Attributes:
         work: Work done at its end; `wait` stands still, `rest` leads home.
-        longest: Longest time that it may take [s].
+        longest: Maximum time that it may take [s].
         station: Position that it leads to [m]; None for `wait` and `rest`.
         lasts: Duration of the work at its end [s].
     """
@@ -61,7 +61,7 @@ class NavigationOption(Part):
 
 
 class TeamRobot(Part):
-    """One robot: where it rests [m]."""
+    """One robot, with the position where it rests [m]."""
 
     home: Point
 
@@ -74,7 +74,7 @@ class TeamRewards(Part):
 
 
 class Learning(Part):
-    """Settings of learning a policy of the team.
+    """Settings for learning a policy of the team.
 
     Attributes:
         episode: Longest duration of an episode [s].
@@ -88,7 +88,7 @@ class Learning(Part):
 
 
 class TeamFile(TaskHeader):
-    """A team, and the task that it has.
+    """A team and its task.
 
     Attributes:
         kind: Kind of task, always "team_delivery".
@@ -142,7 +142,7 @@ class TeamFile(TaskHeader):
 
     @property
     def training_samples(self) -> int:
-        """Low-level steps that are learnt from."""
+        """Number of low-level steps to learn from."""
         return self.learning.training_samples
 
     @property
@@ -159,15 +159,15 @@ class TeamFile(TaskHeader):
 
 
 def team_names() -> list[str]:
-    """Return the teams that come with the package."""
+    """Return the shipped teams."""
     return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))
 
 
 def team_file(name_or_path: str) -> FilePath:
-    """Return the file of a team that comes with the package, by name, or the path itself.
+    """Return the file of a shipped team, or the path itself.
 
     Raises:
-        OptionError: there is no such team.
+        OptionError: There is no such team.
     """
     path = FilePath(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
@@ -181,7 +181,7 @@ def team_file(name_or_path: str) -> FilePath:
 
 
 def room_names() -> list[str]:
-    """Return the rooms that come with the package."""
+    """Return the shipped rooms."""
     return sorted(file.stem for file in FOLDER.glob("*_room.yaml"))
 
 
@@ -193,7 +193,7 @@ def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
         folder: the folder that a relative path counts from; the working directory if None.
 
     Raises:
-        OptionError: there is no room of that name.
+        OptionError: There is no such room.
     """
     path = FilePath(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
@@ -214,7 +214,7 @@ def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
         name_or_path: another room than the team's own; empty for the team's own.
 
     Raises:
-        CtrlRlError: there is no such room, or the team's homes and stations do not lie in its free space.
+        CtrlRlError: There is no such room, or the team's homes and stations are not in its free space.
     """
     room = load_navigation_task(room_file(name_or_path) if name_or_path else team.room_file)
     check_places(team, room)
@@ -225,7 +225,7 @@ def check_places(team: TeamFile, room: NavigationTask) -> None:
     """Check that a robot can stand at every home and station, and that all can be at home at once.
 
     Raises:
-        OptionError: it cannot; the message names the place.
+        OptionError: It cannot; the message names the place.
     """
     world, radius = room.build_world(), room.robot.radius
     homes = {f"robots.{name}.home": robot.home for name, robot in team.robots.items()}
@@ -249,7 +249,7 @@ def check_places(team: TeamFile, room: NavigationTask) -> None:
 
 
 def is_team(name_or_path: str) -> bool:
-    """Return whether a name or a file is that of a team."""
+    """Return whether a name or file is a team's."""
     path = FilePath(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):
         return name_or_path in team_names()
@@ -264,7 +264,7 @@ def load_team(name_or_path: str) -> TeamFile:
     """Read a team by name, or from a file, and check it against its room.
 
     Raises:
-        OptionError: there is none, or it is wrong; the message names file and key.
+        OptionError: There is none, or it is invalid; the message names file and key.
     """
     path = team_file(name_or_path)
     with raise_as(OptionError, path):

@@ -25,7 +25,7 @@ from oc_baseline_node.training.baselines.control_variates import make_critic
 from oc_baseline_node.training.experiments.runs import OcRun
 
 _LIMIT = 150
-"""Roll-outs after which the search ends."""
+"""Maximum number of roll-outs of the search."""
 _SHARE = (1.0 / 3.0, 2.0 / 3.0)
 """Minimum and maximum fraction of the episodes that end in the goal."""
 
@@ -43,7 +43,7 @@ def find_early_policy(
         The algorithm, as it then is, and how the last roll-out's episodes ended.
 
     Raises:
-        OcError: it never does.
+        OcError: It never does.
     """
     model: Any = run.model(ROLL_OUT * _LIMIT)
     model.set_random_seed(run.seed)
@@ -62,9 +62,9 @@ Array = NDArray[np.float32]
 SIZES = (2**7, 2**9, 2**11, 2**13, 2**15)
 """Sample sizes of Table 3.7."""
 TRUTH = 102_400
-"""Samples that the true gradient comes from."""
+"""Number of samples of the true gradient."""
 POOL = 4 * max(SIZES)
-"""Samples that estimates are drawn from: enough that those of the largest size differ too."""
+"""Number of samples to draw estimates from, enough that the largest estimates differ too."""
 _EPOCHS = 20
 _BATCH = 256
 
@@ -135,7 +135,7 @@ def policy_gradient(policy: Any, samples: Samples, baseline: Array | None, chose
 
 
 def actor_parameters(policy: Any) -> list[nn.Parameter]:
-    """Return the parameters that the policy's actions depend on."""
+    """Return the parameters that affect the policy's actions."""
     return [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters(), policy.log_std]
 
 

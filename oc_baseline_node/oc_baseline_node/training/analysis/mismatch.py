@@ -20,10 +20,10 @@ STEPS = (1, 5, 10)
 
 
 def with_extra_mass(task: NavigationTask, per_cent: float) -> NavigationTask:
-    """Return the task of a quadrotor of more mass and inertia, e.g. with a battery or a sensor that its model lacks.
+    """Return the task of a quadrotor with more mass and inertia, e.g. a battery that its model lacks.
 
     Raises:
-        ValueError: the task's system has neither, or nothing would be left of them.
+        ValueError: The task's system has neither, or nothing would be left.
     """
     factor = 1.0 + per_cent / 100.0
     return task.model_copy(update={"system": task.system.scaled({"m": factor, "I_yy": factor})})

@@ -1,4 +1,4 @@
-"""Processor time of MPC that begins with its plan: a few quadratic programs, beside the interior point's."""
+"""CPU time of warm-started MPC, a few quadratic programs, beside the interior point's."""
 
 from __future__ import annotations
 

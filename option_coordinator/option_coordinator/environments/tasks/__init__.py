@@ -22,7 +22,7 @@ OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]
 """Level of choice: the published options, those of thesis Table 5.1, or a low-level action at each step."""
 DISCOUNT = 0.99
-"""gamma of a low-level step (published settings); a team names its own."""
+"""Discount gamma of a low-level step (published settings); a team has its own."""
 
 
 def load_option_task(name_or_path: str) -> OptionTask:
@@ -76,7 +76,7 @@ def make_environment(
     """Return a task as an event-driven environment, with the task's discount if none is given.
 
     Raises:
-        CtrlRlError: as `load_option_task` and `make_simulation`.
+        CtrlRlError: As in `load_option_task` and `make_simulation`.
     """
     task = load_option_task(name_or_path)
     discount = discount_of(task) if discount is None else discount

@@ -1,7 +1,7 @@
 """A light simulation of a delivery team for learning: the robots' own `Delivery` and `ReactivePlanner`, no physics.
 
-Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots, as its
-lidar would.
+Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots, like a
+lidar.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _RADIUS = 0.1
 
 
 class TeamDeliverySimulation:
-    """The world of a team file. A robot that has ended its work stays at home and has no other option than that."""
+    """The world of a team file. A robot that has finished its work stays at home; that is its only option."""
 
     observes_while_running = False
-    """As with real robots: a request tells what its robot sees."""
+    """As with real robots, a request has its robot's observation."""
 
     def __init__(self, team: TeamFile) -> None:
         self.team = team
@@ -56,7 +56,7 @@ class TeamDeliverySimulation:
         return stations | {f"home of {name}": robot.home for name, robot in self.team.robots.items()}
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode where the room says."""
+        """Begin an episode at the room's start."""
         self._poses = np.array(
             draw_starts(self._task, self._system, self._world, len(self.agents), self._task.robot.radius, generator)
         )
@@ -66,16 +66,16 @@ class TeamDeliverySimulation:
         self._steps = 0
 
     def begin(self, agent: int, option: int) -> None:
-        """Let a robot begin an option."""
+        """Start a robot's option."""
         self._began[agent] = self._now
         self._work[agent].begin(option, self._now)
 
     def interrupt(self, agent: int) -> None:
-        """Take its option from a robot, which stays where it is."""
+        """Stop a robot's option; the robot stays where it is."""
         self._work[agent].leave(self._now)
 
     def step(self) -> SimulationStep:
-        """Let a time step pass."""
+        """Advance by a time step."""
         self._steps += 1
         delivered = self._delivered
         busy = [work.option is not None and not home for work, home in zip(self._work, self._at_home, strict=True)]
@@ -85,21 +85,21 @@ class TeamDeliverySimulation:
         return SimulationStep(reward, ended, all(self._at_home))
 
     def observe(self, agent: int) -> Observation:
-        """Return what a robot tells, see `team_file.OBSERVED`."""
+        """Return a robot's observation, see `team_file.OBSERVED`."""
         return self._work[agent].see(self._poses[agent]).observation
 
     def legal(self, agent: int) -> Mask:
-        """Return which options make sense."""
+        """Return the sensible options."""
         return self._rest.copy() if self._at_home[agent] else self._work[agent].see(self._poses[agent]).legal
 
     def scene(self) -> Scene:
-        """Return what a picture needs."""
+        """Return the scene for a picture."""
         places = {agent.name: (float(x), float(y)) for agent, (x, y, _) in zip(self.agents, self._poses, strict=True)}
         carry = [agent.name for agent, work in zip(self.agents, self._work, strict=True) if work.carries]
         return Scene(places, f"{self._delivered} parcels delivered; {', '.join(carry) or 'nobody'} carries one")
 
     def figures(self) -> dict[str, Any]:
-        """Return how long it took, and how many parcels have arrived."""
+        """Return the duration and the number of delivered parcels."""
         return {"makespan": self._now, "deliveries": self._delivered}
 
     @property
@@ -111,7 +111,7 @@ class TeamDeliverySimulation:
         return sum(work.delivered for work in self._work)
 
     def _carry_on(self, agent: int) -> bool:
-        """Let a robot go on with its option, and return whether that has ended."""
+        """Advance a robot's option; return whether it has ended."""
         work = self._work[agent]
         option, place = work.option, work.place
         if option is None:
@@ -135,7 +135,7 @@ class TeamDeliverySimulation:
         self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
 
     def _seen_by(self, agent: int) -> Array:
-        """Return what stands near a robot as points (n, 2) [m]."""
+        """Return the obstacles near a robot as points (n, 2) [m]."""
         others = np.delete(self._poses[:, :2], agent, axis=0)
         points = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2)))
         far = np.abs(points - self._poses[agent, :2]).max(axis=1)

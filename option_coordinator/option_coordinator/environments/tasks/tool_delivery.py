@@ -17,7 +17,7 @@ from option_coordinator.options.options import Agent, Mask, Observation, Scene, 
 
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)
 WAIT, PASS_TO_0, PASS_TO_1, SEARCH = range(4)
-"""The Fetchbot's; `SEARCH` + h searches tool h."""
+"""Options of the Fetchbot; `SEARCH` + h searches tool h."""
 WORKSHOP, TOOL_ROOM, TABLE, NOWHERE = range(4)
 """Places of a Turtlebot: the last waypoint it reached."""
 IDLE = -1
@@ -70,7 +70,7 @@ class Fetchbot:
     Attributes:
         option: Option that it carries out, `IDLE` for none.
         worked: Number of steps that it has spent on the option.
-        in_vain: Whether it passes a tool to a Turtlebot that was not there when the pass began.
+        in_vain: Whether the Turtlebot was absent when the pass to it began.
         staged: Tools that were found and wait to be passed, the oldest first.
         found: All tools found so far.
     """
@@ -95,7 +95,7 @@ class ToolDeliverySimulation:
     """The world of Tool Delivery; options of thesis Table 5.1, with the published environment's Wait."""
 
     observes_while_running = False
-    """As published."""
+    """As in the published environment."""
 
     def __init__(self, task: ToolDelivery) -> None:
         self.task = task
@@ -132,18 +132,18 @@ class ToolDeliverySimulation:
         self.deliveries = self.failed_passes = 0
 
     def begin(self, agent: int, option: int) -> None:
-        """Let an agent begin an option."""
+        """Start an agent's option."""
         if agent < len(self.turtlebots):
             self.turtlebots[agent].option, self.turtlebots[agent].waited = option, 0
         else:
             self.fetchbot.option, self.fetchbot.worked, self.fetchbot.in_vain = option, 0, False
 
     def interrupt(self, agent: int) -> None:
-        """Take its option from an agent: a search or pass half done is lost, and so is the wait at the table."""
+        """Stop an agent's option: an unfinished search or pass is lost, and so is the wait at the table."""
         self.begin(agent, IDLE)
 
     def step(self) -> SimulationStep:
-        """Let a second pass."""
+        """Advance by a second."""
         before = self._carried_out()
         reward = self.task.rewards.step
         for robot in self.turtlebots:
@@ -172,11 +172,11 @@ class ToolDeliverySimulation:
         return np.array([*place, *stage, *basket, *ready], dtype=np.float32)
 
     def legal(self, agent: int) -> Mask:
-        """Return which options an agent may begin: all, always; a useless one costs time."""
+        """Return which options an agent may begin: always all; a useless one costs time."""
         return np.ones(len(self.agents[agent].options), dtype=bool)
 
     def scene(self) -> Scene:
-        """Return what a picture needs."""
+        """Return the scene for a picture."""
         robots = [(robot.x, robot.y) for robot in self.turtlebots] + [self.task.fetchbot.start]
         baskets = "  ".join(f"{sorted(robot.basket)}" for robot in self.turtlebots)
         has = "has its tool" if self.human.has_tool else f"needs tool {self.human.stage}"
@@ -184,14 +184,14 @@ class ToolDeliverySimulation:
         return Scene({agent.name: place for agent, place in zip(self.agents, robots, strict=True)}, note)
 
     def figures(self) -> dict[str, Any]:
-        """Return how many tools the human has got in time, and how many passes failed."""
+        """Return the number of tools that the human got in time, and of failed passes."""
         return {"deliveries": self.deliveries, "failed_passes": self.failed_passes}
 
     def _carried_out(self) -> list[int]:
         return [*(robot.option for robot in self.turtlebots), self.fetchbot.option]
 
     def _drive(self, robot: Turtlebot) -> float:
-        """Let a Turtlebot act, and return what that pays."""
+        """Let a Turtlebot act, and return the reward."""
         option = robot.option
         if option == IDLE or not robot.move(option, self.task.step_length):
             return 0.0
@@ -213,7 +213,7 @@ class ToolDeliverySimulation:
         return self.task.rewards.delivery
 
     def _fetch(self) -> float:
-        """Let the Fetchbot act, and return what that pays."""
+        """Let the Fetchbot act, and return the reward."""
         fetchbot = self.fetchbot
         if fetchbot.option == IDLE:
             return 0.0
@@ -243,7 +243,7 @@ class ToolDeliverySimulation:
             self.fetchbot.staged.append(tool)
 
     def _work(self) -> None:
-        """Let the human's clock move."""
+        """Advance the human's clock."""
         human = self.human
         human.left -= 1
         if human.left <= 0 and human.has_tool and human.stage < self.task.stages - 1:

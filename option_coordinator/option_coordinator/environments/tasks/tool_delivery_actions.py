@@ -43,7 +43,7 @@ class ToolDeliveryActions(ToolDeliverySimulation):
         self._action = [IDLE] * len(self.agents)
 
     def begin(self, agent: int, option: int) -> None:
-        """Let an agent act; work on the same thing goes on."""
+        """Let an agent act; it continues work on the same tool."""
         self._action[agent] = option
         if agent < len(self.turtlebots):
             self.turtlebots[agent].option = option
@@ -51,13 +51,13 @@ class ToolDeliveryActions(ToolDeliverySimulation):
             super().begin(agent, option)
 
     def step(self) -> SimulationStep:
-        """Let a second pass, with which every action ends."""
+        """Advance by a second, after which every action ends."""
         acted = tuple(action != IDLE for action in self._action)
         self._action = [IDLE] * len(self.agents)
         return super().step()._replace(ended=acted)
 
     def observe(self, agent: int) -> Observation:
-        """Return what it sees with options, and where it is or what its work is and how far, scaled to [0, 1]."""
+        """Return its observation with options, plus its position, or its work and progress, scaled to [0, 1]."""
         if agent < len(self.turtlebots):
             robot = self.turtlebots[agent]
             own = [robot.x / self.task.room[0], robot.y / self.task.room[1]]

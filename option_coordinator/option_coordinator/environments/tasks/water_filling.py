@@ -22,7 +22,7 @@ Sight = Literal["features", "image"]
 VEHICLE, DRONE = range(2)
 _STEPS = {"Up": (0, 1), "Down": (0, -1), "Left": (-1, 0), "Right": (1, 0)}
 _MEAN_OPTION_STEPS = 3
-"""Low-level steps of an asynchronous option step, about: so 200 of them become a length that all methods share."""
+"""Approximate low-level steps per asynchronous option step: 200 of these give all methods one length."""
 
 
 class Action(NamedTuple):
@@ -82,7 +82,7 @@ class WaterFillingSimulation:
         return {jar.name: jar.position for jar in self.task.jars}
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode with full jars and both robots in the middle."""
+        """Begin an episode with full jars and both robots at the centre."""
         count = len(self.task.jars)
         self._random = generator
         self.levels = np.full(count, self.task.start_level)
@@ -100,15 +100,15 @@ class WaterFillingSimulation:
         self._fills, self._steps, self._paid = 0, 0, 0.0
 
     def begin(self, agent: int, option: int) -> None:
-        """Let an agent begin an option."""
+        """Start an agent's option."""
         self._running[agent] = self._actions[agent][option]
 
     def interrupt(self, agent: int) -> None:
-        """Take its option from an agent, which stays where it is."""
+        """Stop an agent's option; the agent stays where it is."""
         self._running[agent] = None
 
     def step(self) -> SimulationStep:
-        """Let half a second pass."""
+        """Advance by half a second."""
         self._fall()
         ended = (self._act(VEHICLE), self._act(DRONE))
         seen = self._reach.any(axis=0)
@@ -129,7 +129,7 @@ class WaterFillingSimulation:
         return np.array([self._is_legal(agent, action) for action in self._actions[agent]])
 
     def scene(self) -> Scene:
-        """Return what a picture needs."""
+        """Return the scene for a picture."""
         places = {a.name: tuple(p) for a, p in zip(self.agents, self._positions().tolist(), strict=True)}
         levels = "  ".join(f"{jar.name} {level:.2f}" for jar, level in zip(self.task.jars, self.levels, strict=True))
         return Scene(places, levels)
@@ -191,14 +191,14 @@ class WaterFillingSimulation:
         return bool(self._reach[agent, jar])
 
     def _way(self, agent: int, jar: int) -> tuple[float, float]:
-        """Return the way from an agent to a jar (x, y) [m]."""
+        """Return the displacement from an agent to a jar (x, y) [m]."""
         (x_low, _), (y_low, _) = self.room
         x, y = self._cell[agent]
         goal = self.task.jars[jar].position
         return goal[0] - (x_low + self.task.cell * x), goal[1] - (y_low + self.task.cell * y)
 
     def _look(self, agent: int) -> None:
-        """Note what an agent reaches from where it has come to."""
+        """Record which jars an agent reaches from its position."""
         for jar in range(len(self.levels)):
             x, y = self._way(agent, jar)
             self._reach[agent, jar] = x * x + y * y <= self.task.reach**2
@@ -208,7 +208,7 @@ class WaterFillingSimulation:
         self._fills += 1
 
     def _positions(self) -> NDArray[np.float64]:
-        """Return where the robots are (2, 2) [m]."""
+        """Return the robots' positions (2, 2) [m]."""
         low = np.array([client[0] for client in self.room])
         return low + self.task.cell * np.array(self._cell)
 
@@ -228,13 +228,13 @@ class WaterFillingSimulation:
 
 
 def _action(name: str, jars: Sequence[str]) -> Action:
-    """Return what an option does."""
+    """Return an option's effect."""
     what, _, jar = name.partition(":")
     return Action(_STEPS.get(what), jars.index(jar) if jar else None, what.startswith("NavTo"), what.endswith("Fill"))
 
 
 def _option_names(task: WaterFilling, options: OptionSet) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the vehicle's and the drone's."""
+    """Return the options of vehicle and drone."""
     jars = [jar.name for jar in task.jars]
     moves = tuple(_STEPS)
     if options == "actions":

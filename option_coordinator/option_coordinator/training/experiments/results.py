@@ -39,7 +39,7 @@ METRICS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "deliveries": ("deliveries", "1"),
     },
 }
-"""Metrics by what a summary calls them: name and unit; low-level steps of Tool Delivery last a second."""
+"""Names and units of metrics, by key of a summary; low-level steps of Tool Delivery last a second."""
 MAIN = {"tool_delivery": "return", "water_filling": "mean_reward", "team_delivery": "return"}
 """What learning is judged by."""
 ENOUGH = {"tool_delivery": 230.0}
@@ -102,7 +102,7 @@ def _metric(name: str, unit: str, use: str | None, key: str) -> Metric:
 
 
 def reference_summaries(task_name: str) -> dict[str, dict[str, float]]:
-    """Return what each policy reaches that was not learnt, see `summary`."""
+    """Return the `summary` of each reference policy."""
     environment = make_environment(task_name)
     choosers = references(environment).items()
     return {name: summary(list(play_episodes(environment, chooser, fresh(_EPISODES)))) for name, chooser in choosers}

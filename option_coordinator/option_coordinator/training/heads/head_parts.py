@@ -15,7 +15,7 @@ from option_coordinator.options.options import NONE
 HIDDEN = 64
 HEAD_GAIN = 0.01
 NEVER = -1e9
-"""Log-probability of what cannot be: exp of it is 0, and unlike -inf it has a gradient."""
+"""Log-probability of the impossible: its exp is 0 but, unlike -inf, it has a gradient."""
 
 
 class DecisionBatch(NamedTuple):
@@ -34,15 +34,15 @@ class DecisionBatch(NamedTuple):
     legal: Tensor
 
     def at(self, rows: Tensor | slice) -> DecisionBatch:
-        """Return some of them."""
+        """Select rows."""
         return DecisionBatch(*(part[rows] for part in self))
 
 
 class Score(NamedTuple):
     """log pi-hat(o_U | o_not-U, s) and the entropy of pi-hat, both (B,).
 
-    The entropy is exact where joint options can be counted; else, and for a chain, that of the links met along the
-    options taken: its mean over draws is the entropy.
+    The entropy is exact if joint options can be enumerated. Otherwise, and for a chain, it is that of the conditionals
+    along the chosen options, whose mean over draws is the entropy.
     """
 
     log_prob: Tensor
@@ -67,7 +67,7 @@ class Trunk(nn.Module):
 
 
 def orthogonal(inputs: int, outputs: int, gain: float) -> nn.Linear:
-    """Return a linear layer with orthogonal weights and no bias yet."""
+    """Return a linear layer with orthogonal weights and zero bias."""
     layer = nn.Linear(inputs, outputs)
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.zeros_(layer.bias)
@@ -80,7 +80,7 @@ def joint_options(counts: Sequence[int]) -> Tensor:
 
 
 def allowed_cells(cells: Tensor, decisions: DecisionBatch, fixed: Tensor) -> Tensor:
-    """Return which cells hold legal options of who chooses, and `fixed` (B, N) of everybody else (B, cells)."""
+    """Return which cells (B, cells) have legal options of choosing agents, and `fixed` (B, N) of the others."""
     agents = torch.arange(cells.shape[1])
     legal = decisions.legal[:, agents, cells]
     same = cells[None] == fixed[:, None]
@@ -94,7 +94,7 @@ def taken_at(logs: Tensor, options: Tensor) -> Tensor:
 
 
 def entropy_of(logs: Tensor, allowed: Tensor) -> Tensor:
-    """Return -sum p log p (...,) over what is allowed."""
+    """Return -sum p log p (...,) over the allowed entries."""
     logs = logs.masked_fill(~allowed, 0.0)
     return -(logs.exp() * logs * allowed).sum(dim=-1)
 
@@ -115,7 +115,7 @@ class ValueNorm(nn.Module):
             self.register_buffer(name, torch.zeros(()))
 
     def count(self, targets: Tensor) -> Tensor:
-        """Count targets (B,) in and return them on the scale."""
+        """Update the statistics by targets (B,), and return the targets on the scale."""
         with torch.no_grad():
             self.mean.mul_(_KEEP).add_((1.0 - _KEEP) * targets.mean())
             self.square.mul_(_KEEP).add_((1.0 - _KEEP) * (targets * targets).mean())
@@ -136,7 +136,7 @@ class ValueNorm(nn.Module):
 
 
 class ValueNetwork(nn.Module):
-    """V of the joint observation, and of what runs on: with asynchronous options that is part of the state.
+    """V of the joint observation and the running options, which are part of the state with asynchronous options.
 
     Args:
         observation_size: Length D of the joint observation.

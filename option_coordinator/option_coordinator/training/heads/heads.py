@@ -30,7 +30,7 @@ from option_coordinator.training.heads.head_parts import (
 
 RANK = 8
 COUNTABLE = 256
-"""Joint options up to which the entropy is summed over all of them: a batch of so many takes some 30 MB."""
+"""Maximum number of joint options to enumerate for the entropy; a batch of these takes some 30 MB."""
 
 
 class _Head(nn.Module):
@@ -68,15 +68,15 @@ class TableHead(_Head):
         return Score(logs.gather(1, self.cell(decisions.options)[:, None])[:, 0], entropy_of(logs, allowed))
 
     def cell(self, options: Tensor) -> Tensor:
-        """Return the index of joint options (B,); an absent agent counts as its option 0."""
+        """Return the index of joint options (B,); an absent agent counts as option 0."""
         return (options.clamp(min=0) * self.strides).sum(dim=-1)
 
     def allowed(self, decisions: DecisionBatch) -> Tensor:
-        """Return which cells agree with what runs and with what is legal (B, cells); the absent are at option 0."""
+        """Return which cells agree with running and legal options (B, cells), with absent agents at option 0."""
         return allowed_cells(self.cells, decisions, decisions.options.clamp(min=0))
 
     def _without_absent(self, table: Tensor, decisions: DecisionBatch) -> Tensor:
-        """Sum the absent agents' options out: what remains stands at each of them."""
+        """Sum out the absent agents' options; each of their options then holds the sum."""
         absent = ~decisions.choosing & (decisions.options == NONE)
         if not absent.any():
             return table
@@ -130,7 +130,7 @@ class MixtureHead(_Head):
         return torch.log_softmax(weights, dim=-1), legal - share[..., None]
 
     def _chain(self, weights: Tensor, factors: Tensor, taken: Tensor, decisions: DecisionBatch) -> Tensor:
-        """Return the entropies of each chooser given those before it, summed (B,)."""
+        """Return the sum of each choosing agent's entropy, given those before it (B,)."""
         before = weights[..., None] + taken.cumsum(dim=-1) - taken
         links = (torch.log_softmax(before, dim=1)[..., None] + factors).logsumexp(dim=1)
         return (entropy_of(links, decisions.legal) * decisions.choosing).sum(dim=-1)
@@ -168,7 +168,7 @@ class AutoregressiveHead(_Head):
         return Score(log_prob, entropy)
 
     def _share(self, options: Tensor, agent: int) -> Tensor:
-        """Return what knowing an agent's options adds to the hidden layer (B, H); nothing for the absent."""
+        """Return what a known option adds to the hidden layer (B, H); zero for absent agents."""
         begin = sum(self.counts[:agent])
         return self.known.weight.T[begin + options.clamp(min=0)] * (options != NONE)[:, None]
 
@@ -203,7 +203,7 @@ _HEADS: Mapping[str, type[TableHead | MixtureHead | AutoregressiveHead]] = {
 
 
 def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presence: bool = False) -> nn.Module:
-    """Return an untrained joint policy of the kind's name, whose observations may tell `presence` too.
+    """Return an untrained joint policy of a kind, perhaps with `presence` in its observations.
 
     Its weights come from torch's generator.
     """
@@ -215,5 +215,5 @@ def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presenc
 
 
 def as_numpy(network: nn.Module) -> dict[str, NDArray[np.floating]]:
-    """Return a network's tensors in NumPy, in the same memory: they go on changing as it learns."""
+    """Return a network's tensors in NumPy, sharing memory: they change as it learns."""
     return {name: tensor.detach().numpy() for name, tensor in network.state_dict().items()}
