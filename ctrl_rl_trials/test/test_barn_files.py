@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from barn_files import box, cylinder, path_file, plugin, world, write_checkout
+from ctrl_rl_trials.barn.drive import LOW_ROS2, score
 from ctrl_rl_trials.barn.plugin_file import read_keyframes
 from ctrl_rl_trials.barn.scenarios import load_scenario
-from ctrl_rl_trials.barn.score import LOW_ROS2, score
 from ctrl_rl_trials.barn.world_file import read_path, read_world
 from ctrl_rl_trials.errors import TrialError
 from hypothesis import given

@@ -14,7 +14,7 @@ from .driving.drivers import ScriptedDriver as ScriptedDriver
 from .driving.driving import drive as drive
 from .evaluation.report import evaluate_offline as evaluate_offline
 from .evaluation.roll_outs import correlation as correlation
-from .learners.from_drives import learn_from_drives as learn_from_drives
 from .learners.learning import learn as learn
+from .learners.learning import learn_from_drives as learn_from_drives
 from .learners.settings import METHODS as METHODS
 from .learners.settings import LearningSettings as LearningSettings

@@ -1,4 +1,4 @@
-"""One drive of the benchmark: the simulator, a driver, and a filter below it."""
+"""One drive of the benchmark and its score: the simulator, a driver, and a filter below it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,25 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import Driver, Filter, Outcome, Sensors, find_robot
 from ctrl_rl_trials.barn.scenarios import LIMIT, Scenario
-from ctrl_rl_trials.barn.score import LOW, score
 from sim_bridge import SimulatedRobot, SimulatedWorld, SimulationOptions
+
+FASTEST = 2.0
+"""Speed of the optimal time [m/s]."""
+LOW, LOW_ROS2, HIGH = 2.0, 4.0, 8.0
+
+
+def score(succeeded: bool, seconds: float, length: float, low: float = LOW) -> float:
+    """Return the score of one drive, 0 to 1 / low.
+
+    Args:
+        succeeded: Whether the goal was reached without a contact, in time.
+        seconds: Time from the first motion to the end [s].
+        length: Length of the optimal path [m].
+        low: Multiple of the optimal time below which being faster earns nothing.
+    """
+    optimal = length / FASTEST
+    return float(succeeded) * optimal / min(max(seconds, low * optimal), HIGH * optimal)
+
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,8 @@ from ctrl_rl_core.io import read_experiment, results_lock
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ctrl_rl_core import Result, write_results
-from ctrl_rl_trials.barn.drive import BarnDrive, End
+from ctrl_rl_trials.barn.drive import LOW_ROS2, BarnDrive, End
 from ctrl_rl_trials.barn.scenarios import MOVING, STATIC
-from ctrl_rl_trials.barn.score import LOW_ROS2
 from ctrl_rl_trials.errors import TrialError
 
 _World = Annotated[int, Field(ge=0, lt=STATIC + MOVING)]

@@ -1,4 +1,4 @@
-"""Learns a policy from transitions: better commands by a value function, scales, batches and updates.
+"""Learns a policy from transitions: better commands by a value function, scales, batches, updates; all in one call.
 
 actor = learn(transitions, task, LearningSettings("iql"))
 """
@@ -6,6 +6,8 @@ actor = learn(transitions, task, LearningSettings("iql"))
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ctrl_rl_core import Actor, NavigationTask, task_digest
+from ctrl_rl_core import Actor, NavigationTask, ValueFunction, task_digest
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.data.motion import MotionModel, fit_motion
-from ctrl_rl_learning.offline.data.transitions import Transitions, sensed_interface
-from ctrl_rl_learning.offline.data.values import StateValues
+from ctrl_rl_learning.offline.data.transitions import RecordedDrives, Transitions, sensed_interface
+from ctrl_rl_learning.offline.data.values import TIME_TO_REACH, StateValues, clearance_of, load_values
 from ctrl_rl_learning.offline.learners.learners import LEARNERS, Batch
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.study.curves import Curves
@@ -203,3 +205,45 @@ def _standardised(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return numbers around 0 in units of their middle spread, rare large ones cut off: collisions are far below."""
     low, middle, high = np.quantile(numbers, (0.1, 0.5, 0.9))
     return np.clip((numbers - middle) / max(0.39 * (high - low), 1e-6), -10.0, 10.0)
+
+
+def learn_from_drives(
+    data: RecordedDrives,
+    method: str = "value_model",
+    *,
+    value: ValueFunction | None = None,
+    updates: int = 5000,
+    seed: int = 0,
+) -> Actor:
+    """Learn a policy from recorded drives alone; its `save` writes a file for the node `policy`.
+
+    >>> import ctrl_rl, tempfile, pathlib
+    >>> from ctrl_rl_learning.offline import ScriptedDriver, drive      # records without ROS
+    >>> task = ctrl_rl.load_task("car_navigation")
+    >>> bag = pathlib.Path(tempfile.mkdtemp()) / "bag"
+    >>> _ = drive(task, ScriptedDriver(task), episodes=3, seed=0, bag=bag)
+    >>> policy = ctrl_rl.learn_offline(ctrl_rl.transitions([bag], task), "bc", updates=20)
+    >>> policy.manifest["method"]
+    'bc'
+
+    Args:
+        data: Drives that `ctrl_rl.transitions` has read.
+        method: One of `ctrl_rl_learning.offline.learners.settings.METHODS`: value_model (the default), value_weight and
+            value_critic learn from a value function; td3bc, iql and cql from rewards in the bags; bc clones.
+        value: Value function of the task, for the methods that need one; its time to reach by what the robot can do,
+            with room of half its radius to obstacles, is solved here unless given.
+        updates: Number of updates of the networks.
+        seed: Seed of weights and batches.
+
+    Raises:
+        LearningError: There is no such method, or the bags do not hold what it needs.
+        CtrlRlError: The value function does not fit the task.
+    """
+    if method not in METHODS:
+        raise LearningError(f"no method '{method}': there are {', '.join(METHODS)}")
+    values = None if value is None else StateValues(value, data.task)
+    if values is None and method in NEEDS_VALUE:
+        with TemporaryDirectory() as folder:
+            values = load_values(TIME_TO_REACH, data.task, Path(folder), clearance_of(data.task, None))
+    settings = LearningSettings(method, updates, seed=seed)
+    return learn(data.transitions, data.task, settings, values, {"bags": list(data.bags)})
