@@ -6,7 +6,8 @@ from games import double_integrator, line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttr_reward_node import solve
+from ctrl_rl_core import Axis, Interval, Quantity, Region, System
+from ttr_reward_node import TimeToReachProblem, solve
 
 
 @pytest.mark.parametrize("disturbance", [0.0, 0.25, 0.6])
@@ -48,3 +49,27 @@ def test_stronger_disturbance_never_shortens_the_time(weak, more):
     both = np.isfinite(one) & np.isfinite(other)
     # To rounding of the curvature, which is no monotone scheme.
     assert (other[both] >= one[both] - 0.05).all()
+
+
+@pytest.mark.parametrize("gust", [0.0, 0.3])
+@pytest.mark.parametrize("slow", [0.1, 0.01])
+def test_an_axis_that_is_slow_beside_the_others_is_crossed(slow, gust):
+    """Three axes on their own, x far slower than the gust that y is held against: the slowest of them decides."""
+    speeds = np.array([slow, 1.0, 0.6])
+    bounds = np.array([0.0, gust, 0.0])
+    system = System(
+        name="three",
+        states=tuple(Quantity(name, "m") for name in "xyz"),
+        controls=tuple(Quantity(f"u_{name}", "1", -1.0, 1.0) for name in "xyz"),
+        disturbances=tuple(Quantity(f"d_{name}", "m/s", -b, b) for name, b in zip("xyz", bounds.tolist(), strict=True)),
+        parameters={},
+        equations=lambda _m, _p: lambda _x, u, d: tuple(speeds[k] * u[k] + d[k] for k in range(3)),
+    )
+    axes = tuple(Axis(name, "m", -1.0, 1.0, 31) for name in "xyz")
+    value = solve(TimeToReachProblem(system, axes, Region(dict.fromkeys("xyz", Interval(-0.15, 0.15))))).grid
+    states = np.random.default_rng(0).uniform(-0.85, 0.85, (1000, 3))
+    times = (np.maximum(np.abs(states) - 0.15, 0.0) / (speeds - bounds)).max(axis=1)
+    found = value.value(states)
+    assert np.isfinite(found).all()
+    far = times > 0.3 / slow
+    assert np.median(np.abs(found[far] - times[far]) / times[far]) < 0.06

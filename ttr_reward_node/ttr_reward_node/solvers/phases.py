@@ -105,7 +105,7 @@ class Phases:
         self.sweeper.restart(lost)
         if not self._settle(last, tolerance):
             return self._give_up()
-        return self._reach_slow(slow, arrived, last) and self._reach_edges(found, last)
+        return self._reach_edges(found, last) and self._reach_slow(slow, arrived, lost, last)
 
     def _slow(self, values: NDArray[np.float32], doubtful: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether w of a doubtful node may be small because the way is long: it changes little from node to node."""
@@ -122,28 +122,34 @@ class Phases:
                 slow &= beside
         return slow.ravel()
 
-    def _reach_slow(self, slow: NDArray[np.bool_], arrived: NDArray[np.float32], last: SweepSettings) -> bool:
+    def _reach_slow(
+        self,
+        slow: NDArray[np.bool_],
+        arrived: NDArray[np.float32],
+        lost: NDArray[np.bool_],
+        last: SweepSettings,
+    ) -> bool:
         """Give those nodes their times that only seemed lost since their ways take long; return whether it settled.
 
         Args:
             slow: Nodes that may be of this kind (nodes,).
             arrived: w after the first phase (nodes,).
+            lost: Nodes that are unreachable for good (nodes,).
             last: Settings of the last phase.
         """
         missing = slow & (self.sweeper.values == 0.0) if slow.any() else slow
         if missing.mean() <= _FEW:
             return True
         times = self.sweeper.values.copy()
-        self.sweeper.values[missing] = 0.0
-        self.sweeper.rescale(1.0 / _SLOWER)
-        self.sweeper.restart()
+        self.sweeper.cheapen(1.0 / _SLOWER)
+        self.sweeper.restart(~missing)
         rate = self.scales.rate / _SLOWER
         first = SweepSettings(rate, math.inf, 0.0, _QUIET[0] / rate, False, 0, 0)
         settled = self._settle(first, _SETTLED[0] / rate, least=2)
-        sure = missing & (self.sweeper.values >= _CUT)
-        self.sweeper.rescale(_SLOWER)
+        sure, never = missing & (self.sweeper.values >= _CUT), missing & (self.sweeper.values < _LOST)
+        self.sweeper.restore()
         self.sweeper.values[:] = np.where(sure, arrived, times)
-        self.sweeper.restart(missing & ~sure)
+        self.sweeper.restart(lost | never)
         return (settled and self._settle(last, self.scales.tolerance)) or self._give_up()
 
     def _reach_edges(self, found: NDArray[np.bool_], last: SweepSettings) -> bool:

@@ -34,10 +34,13 @@ class Sweeper(Protocol):
         """Do sweep number `in_phase` of a phase; return the largest change [s], NaN if nothing shows by it."""
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
-        """Forget what has settled, because the next sweeps have other settings; leave `lost` nodes as they are."""
+        """Forget what has settled, because the next sweeps have other settings; they leave `lost` nodes as they are."""
 
-    def rescale(self, power: float) -> None:
+    def cheapen(self, power: float) -> None:
         """Multiply the rate of the transform: raise w at the nodes, and all that a step makes of w, to a power."""
+
+    def restore(self) -> None:
+        """Undo what `cheapen` made of the steps, to the last bit; w at the nodes stays."""
 
 
 def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) -> Sweeper:
@@ -56,25 +59,40 @@ def _has_short_rows(layout: Layout) -> bool:
     return flat_ and len(layout.outer) > 1 and int(layout.counts[-1]) <= _SHORT
 
 
-class _Rescaled:
+class _Sweeper:
     """What the sweepers share: the nodes, and the steps between them."""
 
     _nodes: Nodes
     _table: StepTable
     values: NDArray[np.float32]
+    _kept: tuple[NDArray[np.float32], NDArray[np.float32]]
 
-    def rescale(self, power: float) -> None:
-        for w in (self.values, self._table.discounts):
-            w[:] **= np.float32(power)
-        raise_hits(self._nodes.outcomes, power)
+    def cheapen(self, power: float) -> None:
+        self.values **= np.float32(power)
+        self._kept = cheapened(self._table.discounts, self._nodes.outcomes, power)
+
+    def restore(self) -> None:
+        self._table.discounts[:], self._nodes.outcomes[:] = self._kept
 
 
-def raise_hits(outcomes: NDArray[np.float32], power: float) -> None:
-    """Raise the discounts among outcomes, which are above 0, to a power."""
+def mark_lost(flags: NDArray[np.uint8], lost: NDArray[np.bool_] | None) -> None:
+    """Mark those nodes (nodes,) as lost, and no others."""
+    flags &= ~np.uint8(LOST)
+    if lost is not None:
+        flags[lost] |= LOST
+
+
+def cheapened(
+    discounts: NDArray[np.float32], outcomes: NDArray[np.float32], power: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Raise discounts of steps, and those among outcomes, to a power in place; return what they were."""
+    kept = discounts.copy(), outcomes.copy()  # near 1 a root in single precision cannot be undone by a power
+    discounts **= np.float32(power)
     np.power(outcomes, np.float32(power), out=outcomes, where=outcomes > 0.0)
+    return kept
 
 
-class _RowSweeper(_Rescaled):
+class _RowSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
@@ -103,11 +121,10 @@ class _RowSweeper(_Rescaled):
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         self._history.seen[:] = 0
-        if lost is not None:
-            self._nodes.flags[lost] |= LOST
+        mark_lost(self._nodes.flags, lost)
 
 
-class _SlabSweeper(_Rescaled):
+class _SlabSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
@@ -139,14 +156,13 @@ class _SlabSweeper(_Rescaled):
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         self._history.seen[:] = 0
-        if lost is not None:
-            self._nodes.flags[lost] |= LOST
+        mark_lost(self._nodes.flags, lost)
         self._history.reachable[: self._slabs] = np.count_nonzero(self.values.reshape(self._slabs, -1), axis=1)
         closed = self._nodes.flags.reshape(self._slabs, -1) & (FIXED | LOST)
         self._history.open[:] = closed.shape[1] - np.count_nonzero(closed, axis=1)
 
 
-class _NodeSweeper(_Rescaled):
+class _NodeSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
@@ -168,5 +184,4 @@ class _NodeSweeper(_Rescaled):
         return float(max(changes)) if full else math.nan
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
-        if lost is not None:
-            self._nodes.flags[lost] |= LOST
+        mark_lost(self._nodes.flags, lost)

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ttr_reward_node.kernels.boundary_conditions import LOST, NEAR
+from ttr_reward_node.kernels.boundary_conditions import NEAR
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.kernels.sweep import SweepSettings
 from ttr_reward_node.kernels.warp_interpolation import Rule, Table
 from ttr_reward_node.kernels.warp_sweep import sweep_kernels
 from ttr_reward_node.solvers.near_nodes import NearNodes
-from ttr_reward_node.solvers.sweeper import raise_hits
+from ttr_reward_node.solvers.sweeper import cheapened, mark_lost
 
 # Updates of each node in a sweep: the first tries all pairs, the others the best of these alone, as policy iteration
 # does, at a fraction of the cost. What is new goes one step further in each.
@@ -86,15 +86,18 @@ class WarpSweeper:
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         """Forget what has settled; leave `lost` nodes as they are."""
         self._seen.zero_()
-        if lost is not None:
-            self._host_flags[lost] |= LOST
-            self._flags = self._put(self._host_flags)
+        mark_lost(self._host_flags, lost)
+        self._flags = self._put(self._host_flags)
 
-    def rescale(self, power: float) -> None:
-        """Multiply the rate of the transform, on the host: it happens twice at most."""
+    def cheapen(self, power: float) -> None:
+        """Multiply the rate of the transform, on the host: it happens once at most."""
         self.values[:] **= np.float32(power)
-        self._host_discounts **= np.float32(power)
-        raise_hits(self._host_outcomes, power)
+        self._kept = cheapened(self._host_discounts, self._host_outcomes, power)
+        self._table.discounts, self._outcomes = self._put(self._host_discounts), self._put(self._host_outcomes)
+
+    def restore(self) -> None:
+        """Undo what `cheapen` made of the steps."""
+        self._host_discounts[:], self._host_outcomes[:] = self._kept
         self._table.discounts, self._outcomes = self._put(self._host_discounts), self._put(self._host_outcomes)
 
     def _rule(self, settings: SweepSettings) -> Any:
