@@ -269,3 +269,13 @@ def test_commands_that_would_pass_the_filter_by_are_refused() -> None:
             LearningNode(interface)
     finally:
         rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(
+    ("task", "words"), [("curved_corridor", "a stretch of its corridor"), ("quad_ttr", "steered by T_1 and T_2")]
+)
+def test_a_task_that_no_robot_on_the_floor_can_learn_is_refused_in_one_line(task: str, words: str) -> None:
+    answer = command("fine_tune", "car_ttr", "--task", task, package="ctrl_rl_learning")
+    assert answer.returncode == 1
+    (line,) = answer.stderr.splitlines()
+    assert words in line

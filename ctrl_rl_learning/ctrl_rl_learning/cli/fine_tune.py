@@ -21,7 +21,7 @@ from ctrl_rl_core.command import (
 )
 from ctrl_rl_core.io import with_digest
 
-from ctrl_rl_core import Outcome, atomic_write, load_navigation_task, task_digest
+from ctrl_rl_core import NavigationTask, Outcome, atomic_write, load_navigation_task, task_digest
 from ctrl_rl_learning.errors import LearningError
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ def _work(options: FineTune, words: list[str]) -> int:
 
     torch.set_num_threads(options.threads)
     task = load_navigation_task(options.task)
+    _check_task(task)
     actor, interface = read_policy(options.policy, options.motion)
     total = 60.0 * options.minutes
     steps = round(total / (interface.period or task.episode.time_step)) + task.episode.steps
@@ -127,6 +128,22 @@ def _work(options: FineTune, words: list[str]) -> int:
         print(f"success    {success:.3f} of {len(tested)} episodes")
     print(f"policy     {options.folder / 'policy.safetensors'}")
     return 0
+
+
+def _check_task(task: NavigationTask) -> None:
+    """Check that a robot on the floor can tell by its pose when it has reached the goal of a task.
+
+    Raises:
+        LearningError: It cannot, or nothing on the floor drives by the task's commands.
+    """
+    if set(task.robot.commands) != {"v", "omega"}:
+        commands = " and ".join(task.robot.commands)
+        raise LearningError(f"task '{task.name}' is steered by {commands}: on a robot only v and omega are learnt")
+    if task.corridor is not None:
+        raise LearningError(
+            f"the goal of task '{task.name}' is a stretch of its corridor, which no pose tells: name a task with "
+            "a goal in x and y, such as car_ttr"
+        )
 
 
 def _line(log: EpisodeLog) -> str:
