@@ -21,6 +21,7 @@ from ttr_reward_node.kernels.sweep import TINY, Nodes, SweepSettings, change_of
 _OPTIONS = {"error_model": "numpy"}
 _INLINE = {"error_model": "numpy", "forceinline": True}
 _CELL_AXES, _MOST_CORNERS = 3, 8  # up to so many axes all corners of a cell count, above those of a simplex in it
+_OFTEN = 4  # axes
 _BITS = 11  # PER_CELL is 2 to this power: a shift and a mask split a displacement
 _ROUNDED = 3  # [1 / PER_CELL cells]: a step that was cut short at the edge ends there only to rounding
 _CELL = np.float32(1.0 / PER_CELL)
@@ -147,7 +148,11 @@ def sweep_nodes(
                     found = outcome
                     quick = False
                     if simplex and outcome == INTERPOLATE:
-                        quick, found = _go(values, grid, index, ends, node, p, own, rule, long[p], corners)
+                        # As many loops as there are axes are laid out one after the other where the number is given.
+                        if n == _OFTEN:
+                            quick, found = _go(_OFTEN, values, grid, index, ends, node, p, own, rule, long[p], corners)
+                        else:
+                            quick, found = _go(n, values, grid, index, ends, node, p, own, rule, long[p], corners)
                         found *= discounts[code]
                     if outcome <= 0.0 and not quick:
                         _place(grid, index, ends, node, p, own, corners)
@@ -175,6 +180,7 @@ def sweep_nodes(
 
 @njit(**_INLINE)
 def _go(
+    n: int,
     values: Floats,
     grid: Grid,
     index: Integers,
@@ -190,7 +196,7 @@ def _go(
 
     Most steps do: for them this is `_place` and `_interpolate` in one, with hardly a branch.
     """
-    n, base, away = grid.n, np.int64(0), 0
+    base, away = np.int64(0), 0
     for k in range(n):
         cells = np.int64(ends[node, p, k])
         lower, part = index[k] + (cells >> _BITS), cells & (PER_CELL - 1)
