@@ -11,15 +11,7 @@ from ctrl_rl_bringup.preflight import frame_checks, robot_checks, scan_checks, t
 from ctrl_rl_bringup.preflight.finding import Finding, Level, Limits
 from ctrl_rl_bringup.preflight.frames import FrameTree, Link, planar_pose, pose_matrix
 from ctrl_rl_bringup.preflight.inspection import as_text, inspect_standing, may_go, verdict
-from ctrl_rl_bringup.preflight.recording import (
-    Battery,
-    Endpoint,
-    OdometrySample,
-    Recording,
-    ScanSample,
-    Times,
-    Topic,
-)
+from ctrl_rl_bringup.preflight.recording import Battery, Endpoint, OdometrySample, Recording, ScanSample, Times, Topic
 from ctrl_rl_core.navigation import OCCUPIED
 from ctrl_rl_core.ros import LATCHED
 from rclpy.qos import DurabilityPolicy, QoSProfile

@@ -22,6 +22,7 @@ import tyro
 from ctrl_rl_bags.datasets.conversion import read_dataset
 from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
 from ctrl_rl_bags.datasets.frames import Frames, ScanLayout, whole_episodes
+from ctrl_rl_bags.datasets.options import ExtractionOptions
 from ctrl_rl_bags.datasets.rebuilding import (
     EPISODE_TYPE,
     GOAL_TYPE,
@@ -30,7 +31,6 @@ from ctrl_rl_bags.datasets.rebuilding import (
     SCAN_TYPE,
     MessageMaker,
 )
-from ctrl_rl_bags.datasets.options import ExtractionOptions
 from tqdm import tqdm
 
 from ctrl_rl_bags import BagWriter

@@ -18,15 +18,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, LaserScan
 
 from ctrl_rl_bringup.preflight.frames import FrameTree, Link, planar_pose, pose_matrix
-from ctrl_rl_bringup.preflight.recording import (
-    Battery,
-    Endpoint,
-    OdometrySample,
-    Recording,
-    ScanSample,
-    Times,
-    Topic,
-)
+from ctrl_rl_bringup.preflight.recording import Battery, Endpoint, OdometrySample, Recording, ScanSample, Times, Topic
 from ctrl_rl_core import (
     CtrlRlError,
     OccupancyMap,
