@@ -95,9 +95,9 @@ class Phases:
         values = self.sweeper.values
         lost, doubtful, found = values < _LOST, values < _CUT, values >= _FOUND
         slow = self._slow(values, doubtful)
-        arrived = values.copy() if slow.any() else values[:0]
+        arrived = values[slow]
         if doubtful.any():  # else nothing has lost weight: there is no edge to make sharp
-            lost &= ~slow if slow.any() else True
+            lost[slow] = False
             values[doubtful] = 0.0
             self.sweeper.restart(lost)
             if not self._settle(sharp, _SETTLED[1] * unit, least=2, patient=False):
@@ -107,24 +107,25 @@ class Phases:
             return self._give_up()
         return self._reach_edges(found, last) and self._reach_slow(slow, arrived, lost, last)
 
-    def _slow(self, values: NDArray[np.float32], doubtful: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whether w of a doubtful node may be small because the way is long: it changes little from node to node."""
-        if not doubtful.any():
-            return doubtful
-        slow = (doubtful & (values >= _FAINT)).reshape(self.shape)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.log(values).reshape(self.shape)
-            for k in range(len(self.shape)):
-                flat = np.abs(np.diff(logs, axis=k)) < _FLAT
-                beside = np.zeros_like(slow)
-                for some in (slice(None, -1), slice(1, None)):
-                    beside[(slice(None),) * k + (some,)] |= flat
-                slow &= beside
-        return slow.ravel()
+    def _slow(self, values: NDArray[np.float32], doubtful: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the doubtful nodes (k,) whose w may be small because the way is long, none where they are few.
+
+        There w changes little from node to node, at least on one side along each axis.
+        """
+        slow = np.flatnonzero(doubtful & (values >= _FAINT))
+        stride = values.size
+        for count in self.shape:
+            stride //= count
+            at, logs, beside = slow // stride % count, np.log(values[slow]), np.zeros(len(slow), dtype=bool)
+            for way, there in ((-stride, at > 0), (stride, at < count - 1)):
+                near = np.maximum(values[slow[there] + way], _FAINT)
+                beside[there] |= np.abs(np.log(near) - logs[there]) < _FLAT
+            slow = slow[beside]
+        return slow if len(slow) > _FEW * values.size else slow[:0]
 
     def _reach_slow(
         self,
-        slow: NDArray[np.bool_],
+        slow: NDArray[np.int64],
         arrived: NDArray[np.float32],
         lost: NDArray[np.bool_],
         last: SweepSettings,
@@ -132,24 +133,29 @@ class Phases:
         """Give those nodes their times that only seemed lost since their ways take long; return whether it settled.
 
         Args:
-            slow: Nodes that may be of this kind (nodes,).
-            arrived: w after the first phase (nodes,).
+            slow: Nodes that may be of this kind (k,).
+            arrived: Their w after the first phase (k,).
             lost: Nodes that are unreachable for good (nodes,).
             last: Settings of the last phase.
         """
-        missing = slow & (self.sweeper.values == 0.0) if slow.any() else slow
-        if missing.mean() <= _FEW:
+        missing = self.sweeper.values[slow] == 0.0
+        slow, arrived = slow[missing], arrived[missing]
+        if len(slow) <= _FEW * lost.size:
             return True
         times = self.sweeper.values.copy()
+        others = np.ones(lost.size, dtype=bool)
+        others[slow] = False
         self.sweeper.cheapen(1.0 / _SLOWER)
-        self.sweeper.restart(~missing)
+        self.sweeper.restart(others)
         rate = self.scales.rate / _SLOWER
         first = SweepSettings(rate, math.inf, 0.0, _QUIET[0] / rate, False, 0, 0)
         settled = self._settle(first, _SETTLED[0] / rate, least=2)
-        sure, never = missing & (self.sweeper.values >= _CUT), missing & (self.sweeper.values < _LOST)
+        share = self.sweeper.values[slow]
         self.sweeper.restore()
-        self.sweeper.values[:] = np.where(sure, arrived, times)
-        self.sweeper.restart(lost | never)
+        times[slow] = np.where(share >= _CUT, arrived, 0.0)
+        self.sweeper.values[:] = times
+        lost[slow] = share < _LOST
+        self.sweeper.restart(lost)
         return (settled and self._settle(last, self.scales.tolerance)) or self._give_up()
 
     def _reach_edges(self, found: NDArray[np.bool_], last: SweepSettings) -> bool:
