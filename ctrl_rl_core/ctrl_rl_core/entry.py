@@ -22,6 +22,8 @@ from ctrl_rl_core.processes.signals import interrupt_once, set_handlers
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
 """As a shell reports SIGINT."""
+_MOVED, MOVED_TO = "ctrl_rl_core.moved", "ctrl_rl_bags"
+"""Module of commands that have moved, and the package in which they are."""
 _NOT_ON_A_ROBOT = ("sim_bridge", "ctrl_rl_learning")
 """Packages of this workspace that only learning needs."""
 
@@ -48,6 +50,8 @@ class Door:
         _open_standard_streams()
         set_handlers(self._end)
         module, _, function = self._target.rpartition(".")
+        if module == _MOVED:  # said here, because a page of help that was kept says nothing of it
+            _say(f"{program}: this command is now `ros2 run {MOVED_TO} {program}`")
 
         def work() -> int:
             return int(getattr(import_module(module), function)() or 0)

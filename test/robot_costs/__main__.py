@@ -1,6 +1,6 @@
 """Measure what the suite costs on a robot: processor, memory, latency beside bare echoes, and --help.
 
-python test/robot_side [--seconds 60] [--repeats 3] [--results docs/results/robot_side.json]
+python test/robot_costs [--seconds 60] [--repeats 3] [--results docs/results/robot_side.json]
 
 Controller, safety filter, watchdog and recorder drive a made-up robot round an endless corridor in real time, with ten
 scans a second. Three echoes in a row answer the same scans, in the same minute.
@@ -132,7 +132,7 @@ def drive(seconds: int) -> dict[str, float]:
     for topic, name in (("cmd_vel", "suite"), ("cmd_vel_echo", "echoes")):
         latencies = observer.latencies[topic]
         if len(latencies) < 5 * seconds:
-            raise SystemExit(f"robot_side: only {len(latencies)} answers on {topic} in {seconds} s")
+            raise SystemExit(f"robot_costs: only {len(latencies)} answers on {topic} in {seconds} s")
         out[f"{name}: p99"] = 1e3 * float(np.percentile(latencies, 99))
     return out
 
@@ -183,5 +183,5 @@ def measure(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    given = parse_options("robot_side", Options)
-    sys.exit(run_command("robot_side", lambda: measure(given)))
+    given = parse_options("robot_costs", Options)
+    sys.exit(run_command("robot_costs", lambda: measure(given)))
