@@ -308,7 +308,7 @@ def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
 
 
 def _storage_of(path: Path) -> str:
-    """Tell a file's storage by its first bytes."""
+    """Identify the storage format of a file by its first bytes."""
     try:
         with open_regular(path) as (stream, _):
             begin = stream.read(len(_ROS1_MAGIC))

@@ -88,7 +88,7 @@ class BagTypes:
 
 
 class _Cost(NamedTuple):
-    """Minimum objects and bytes of a message, and the maximum objects per byte of its sequences."""
+    """Bounds on a decoded message: minimum numbers of objects and bytes, and maximum objects per byte of sequences."""
 
     objects: int
     least_bytes: int

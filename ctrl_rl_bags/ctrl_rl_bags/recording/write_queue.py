@@ -1,4 +1,4 @@
-"""A bounded queue that a thread writes to a bag, so that a slow disk neither delays callbacks nor fills the memory.
+"""A bounded queue, written to a bag by a thread, so that a slow disk neither delays callbacks nor fills the memory.
 
 Messages that do not fit are dropped and counted.
 """
@@ -19,7 +19,7 @@ _OVERHEAD = 200
 
 
 class BagQueue:
-    """Passes messages to a `BagWriter`; from then on others may only read its counts.
+    """Passes messages to a `BagWriter`, which belongs to the queue: other code may only read its counts.
 
     Args:
         writer: Writer of the bag, used by one thread.
@@ -104,7 +104,7 @@ class BagQueue:
             self._on_drop(name)
 
     def _work(self) -> None:
-        """Write queued messages until closing or the first error, flush in between, and finish the bag."""
+        """Write queued messages, flushing when due, until the queue closes or an error occurs; then finish the bag."""
         try:
             while self._step():
                 pass

@@ -89,12 +89,12 @@ class FilterRecord:
 
     @property
     def changed(self) -> NDArray[np.bool_]:
-        """Whether another command than the raw one was sent (n,)."""
+        """Whether the command sent differed from the raw one (n,)."""
         return np.asarray(self.modes != SafetyStatus.PASSED)
 
     @property
     def held(self) -> float:
-        """Time for which the robot was stopped although the raw command was to move [s]."""
+        """Time for which the robot was held at rest while the raw command asked for motion [s]."""
         held = (np.abs(self.raw[:, 0]) > _STOPPED) & (np.abs(self.sent[:, 0]) <= _STOPPED)
         return float(np.minimum(np.diff(self.times), _LONGEST)[held[:-1]].sum())
 

@@ -61,10 +61,10 @@ class DrivenRobot(Protocol[SeenOut]):
     """A robot in Gymnasium's form; one step holds a command for one period."""
 
     def reset(self, *, seed: int) -> tuple[SeenOut, dict[str, Any]]:
-        """Begin the episode of a seed."""
+        """Begin an episode with a seed."""
 
     def step(self, command: Any, /) -> tuple[SeenOut, Any, bool, bool, dict[str, Any]]:
-        """Hold a command; return what is sensed then, a reward, whether it terminated or was truncated, and more."""
+        """Hold a command; return sensors, reward, terminated, truncated and info, as Gymnasium does."""
 
 
 class Step(NamedTuple, Generic[Seen]):
@@ -94,7 +94,7 @@ class Episode(Generic[Seen]):
         steps: Number of commands.
         total: Sum of its rewards, the undiscounted return.
         changed: Part of the commands that the filter changed.
-        info: The robot's last word, with `outcome` where it knows one.
+        info: The last step's `info`, with `outcome` if the robot reports one.
         trace: All states from the start on; empty unless they were to be kept.
     """
 
@@ -107,7 +107,7 @@ class Episode(Generic[Seen]):
 
     @property
     def outcome(self) -> str:
-        """Name of its outcome; empty where the robot knows none."""
+        """Name of its outcome; empty if the robot reports none."""
         return str(self.info.get("outcome", ""))
 
     @property

@@ -98,7 +98,7 @@ class ObstacleStop:
 
 
 class DriveSafety:
-    """Checks each scan, and limits commands to their safe part; of sensors it is a `Filter`.
+    """Checks each scan and limits commands to what is safe; usable as a `Filter`.
 
     Args:
         health: Checks of the scans.
@@ -108,8 +108,8 @@ class DriveSafety:
 
     Attributes:
         reach: Distance from the lidar beyond which echoes are ignored [m].
-        view: Echoes of the last scan; None where it is unusable.
-        fault: Reason why the last scan allows no motion; empty where it does.
+        view: Echoes of the last scan; None if the scan is unusable.
+        fault: Reason why the last scan allows no motion; empty if motion is allowed.
     """
 
     def __init__(self, health: ScanHealth, obstacles: ObstacleStop, forward: float, reach: float) -> None:

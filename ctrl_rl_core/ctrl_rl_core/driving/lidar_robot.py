@@ -93,7 +93,7 @@ _LOOK_AROUND_S = 1.0
 
 
 class LidarRobot(Commander):
-    """A robot with a lidar on topics: scan and odometry in, only commands out that are safe by the last scan.
+    """A robot with a lidar, on ROS topics: takes scan and odometry, sends only commands that the last scan shows safe.
 
     Attributes:
         motion: Speed [m/s] and turn rate [rad/s] by odometry.
@@ -117,8 +117,8 @@ class LidarRobot(Commander):
         Args:
             node: Node with `LIDAR_PARAMETERS`, or with `SCAN_PARAMETERS`, without an obstacle stop.
             timeout: Name of the parameter with the age of an input that stops the robot [s].
-            output: Publisher of the commands; cmd_vel unless given.
-            reach: Distance from the lidar at which an echo may matter [m]; that of the obstacle stop unless given.
+            output: Publisher of the commands; cmd_vel by default.
+            reach: Distance from the lidar within which echoes matter [m]; by default that of the obstacle stop.
         """
         super().__init__(node, ("scan", "odometry"), timeout, output)
         self.limit = self.limit_by_scan

@@ -1,4 +1,4 @@
-"""JSON of others: bounded in size and depth, each key once, and a digest that tells damage."""
+"""JSON from untrusted files: bounded size and depth, no repeated keys, and a digest that reveals damage."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _told: set[str] = set()
 
 
 def parse_json(text: str) -> Any:
-    """Return the content of a JSON text; NaN and infinity, which Python writes, are for the schema to refuse.
+    """Parse a JSON text. NaN and infinity, which Python writes, are accepted here; schemas reject them.
 
     Raises:
-        FileError: It is not JSON, nested too deeply, or has a key twice.
+        FileError: The text is not JSON, is nested too deeply, or repeats a key.
     """
     _check_depth(text)
     try:

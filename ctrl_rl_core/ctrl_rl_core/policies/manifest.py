@@ -1,6 +1,6 @@
 """The interface of a learnt policy: what it observes, in which order and scale, and how its actions become commands.
 
-It lies in the header of an actor's file, or as YAML beside an ONNX model:
+The manifest is stored in the header of an actor's file, or as YAML beside an ONNX model:
 
     robot: differential_drive
     period: 0.2
@@ -9,8 +9,8 @@ It lies in the header of an actor's file, or as YAML beside an ONNX model:
       - {source: goal, names: [distance, bearing]}
     action: {low: [0.0, -1.0], high: [0.2, 1.0]}
 
-All quantities are in SI units. Each observed value is cut off at `low` and `high`, then becomes
-(value - middle) / unit.
+All quantities are in SI units. Each observed value is clipped to `low` .. `high`, then
+normalised to (value - middle) / unit.
 """
 
 from __future__ import annotations

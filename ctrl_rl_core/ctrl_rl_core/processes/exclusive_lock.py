@@ -1,4 +1,4 @@
-"""A lock on a folder that one process at a time holds."""
+"""A lock on a folder, held by one process at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LockError(CtrlRlError):
 
 @contextmanager
 def exclusive_lock(lock: Path) -> Iterator[None]:
-    """Hold a lock within the block; it ends with the process, however that ends.
+    """Hold a lock within the block; the lock is released even if the process is killed.
 
     Args:
         lock: Path of an empty file in the folder, which is created and left there.

@@ -76,14 +76,14 @@ def map_in_processes(
 
 
 def _preload(work: Callable[..., Any], *items: object) -> None:
-    """Let the server import the modules of a function and of items before it forks; in vain once it has begun."""
+    """Have the fork server import the modules of a function and its items; no effect once the server is running."""
     function = work.func if isinstance(work, partial) else work
     CONTEXT.set_forkserver_preload([function.__module__, *(type(item).__module__ for item in items)])
 
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start meanwhile ignore a terminal's signals: they are for this one, which ends the others."""
+    """Start processes that ignore the terminal's signals: this process handles them and ends the others."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -98,7 +98,7 @@ def _begin(prepare: Callable[..., None] | None, terms: tuple[Any, ...]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent is gone: it must not go on writing into a folder that the next run takes up."""
+    """Exit when the parent process dies: an orphan must not keep writing to a folder that the next run resumes."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait_for_any([parent.sentinel])

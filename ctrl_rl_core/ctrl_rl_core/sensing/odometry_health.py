@@ -1,7 +1,8 @@
-"""Tells odometry whose twist does not explain how its pose moves, without ROS.
+"""Detects odometry whose twist does not match the motion of its pose, without ROS.
 
-Some bases publish a right pose and a twist of zero, or one in another frame, unit or direction. Stopping distances,
-frozen lidars, states and the distance that was driven all come from the twist, so a robot must not drive by it.
+Some bases publish a correct pose with a zero twist, or a twist in the wrong frame, unit or direction. Stopping
+distances, frozen-lidar checks, states and the driven distance all use the twist, so a robot must not drive on a wrong
+one.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ _KINDS = ((slice(3), _WAY, "m", "speeds"), (slice(3, 4), _TURN, "rad", "turn rat
 class OdometryHealth:
     """Compares pose and twist, message after message.
 
-    A correction of the pose in one message, as of a localiser or a reset, is a jump and no motion. A contradiction
-    holds until the twist explains the pose again: a robot that is stopped for it cannot show more.
+    A correction of the pose in one message, e.g. by a localiser or a reset, counts as a jump, not as motion. A fault
+    lasts until the twist matches the pose again: a robot that is stopped for it cannot provide more evidence.
     """
 
     def __init__(self) -> None:
@@ -50,7 +51,7 @@ class OdometryHealth:
 
     @property
     def fault(self) -> str:
-        """What contradicts what; empty where nothing does."""
+        """Description of the contradiction; empty if there is none."""
         return self._faults[0] or self._faults[1]
 
     def update(self, stamp: int, odometry: Array) -> str:

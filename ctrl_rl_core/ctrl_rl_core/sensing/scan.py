@@ -1,8 +1,8 @@
-"""Laser scans: what each beam means, whether the geometry can be true, and the directions that have an echo.
+"""Laser scans: the meaning of each range, checks of the geometry, and the directions that have an echo.
 
-This is the one place that says so, for live nodes, the pre-flight, and everything that reads bags. By REP-117 a range
-within range_min .. range_max is an echo, +inf nothing there, -inf something too close, NaN no measurement; `measured`
-has the rest. The table for users is in docs/sensing.md.
+Live nodes, the pre-flight check and all readers of bags share this definition. REP-117: a range within
+range_min .. range_max is an echo, +inf means no echo, -inf too close, and NaN no measurement; `measured` covers the
+other values. The table for users is in docs/sensing.md.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class ScanGeometry:
         return replace(self, angle_min=self.angle_min + yaw, angle_max=claimed)
 
     def check(self) -> None:
-        """Refuse a geometry that no lidar has.
+        """Refuse a geometry that no lidar can have.
 
         Raises:
             ScanError: No beams, too many, or numbers that are not finite or contradict each other: the echoes would
@@ -200,7 +200,7 @@ def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, for
         forward: Position of the lidar ahead of the robot's middle [m].
 
     Raises:
-        ScanError: The geometry is impossible, or there is another number of ranges.
+        ScanError: The geometry is impossible, or the number of ranges does not match it.
     """
     scan.check()
     if len(ranges) != scan.beams:

@@ -1,7 +1,7 @@
-"""Tells usable scans from those of a dead, covered, frozen or doubled lidar, without ROS.
+"""Detects scans of a dead, covered, frozen or duplicated lidar, without ROS.
 
 Such a lidar still sends scans: zeros, infinities, the scan of a minute ago, or another robot's. A robot must not drive
-by them.
+on them.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ScanHealth:
         identity: LidarIdentity,
         motion: tuple[float, float],
     ) -> str:
-        """Check a scan and return why the robot must stop; empty where it need not.
+        """Check a scan and return why the robot must stop, or "" if the scan is usable.
 
         Args:
             now: Steady time [s].
@@ -89,7 +89,7 @@ class ScanHealth:
         return mixed
 
     def blind(self, view: ScanView, v: float) -> str:
-        """Return why the scan does not cover the direction of a speed v [m/s]; empty where it does."""
+        """Return why the scan does not cover the direction of a speed v [m/s], or "" if it does."""
         if v == 0.0 or self.largest_gap >= 2.0 * math.pi:
             return ""
         seen = view.seen if v > 0.0 else np.roll(view.seen, DIRECTIONS // 2)

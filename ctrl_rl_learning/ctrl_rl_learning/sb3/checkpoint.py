@@ -1,4 +1,4 @@
-"""What learning goes on from: networks, optimisers and replay in one safetensors file, whole or not at all."""
+"""Checkpoints: networks, optimisers and replay buffer in one safetensors file, written atomically."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Bring a new model to where a checkpoint was and return progress and history.
+    """Restore a new model from a checkpoint; return its progress and history.
 
     Raises:
         Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.
@@ -58,7 +58,7 @@ def model_arrays(model: BaseAlgorithm) -> Arrays:
 
 
 def restore_model(model: BaseAlgorithm, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Bring a new model to where `model_arrays` found it.
+    """Restore a new model from the arrays of `model_arrays`.
 
     Raises:
         KeyError, RuntimeError: the arrays are of another algorithm or network.

@@ -106,5 +106,5 @@ SUCCESS = Outcome.GOAL.name
 
 
 def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> Episodes[Vector]:
-    """Return episodes from the seeds `seed`, `seed` + 1 and so on, with their states."""
+    """Run one episode for each seed from `seed` on, and return them with their states."""
     return drive(environment, FunctionDriver(actor.scaled_action), seeds=range(seed, seed + episodes), keep=True)

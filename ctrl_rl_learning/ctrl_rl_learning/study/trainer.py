@@ -1,9 +1,9 @@
-"""The training loop of every method: it keeps checkpoints and may be cut off at any time.
+"""The training loop of every method: it keeps checkpoints and may be interrupted at any time.
 
 result = train(run, RunOptions(Path("runs/mine"), iterations=10, samples=10240))
 
-An iteration draws its random numbers from the seed and its own number, so that a run that goes on from its last
-checkpoint ends exactly as if it had not been cut off.
+An iteration draws its random numbers from the seed and its own number, so that a run resumed from its last
+checkpoint ends exactly as if it had not been interrupted.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ UNUSABLE = (OSError, CtrlRlError, ValueError, LookupError, RuntimeError, TypeErr
 """Errors of a checkpoint that is damaged, or belongs to another learner."""
 AnyRun = TypeVar("AnyRun", bound=Run)
 Report = Callable[[AnyRun, int, float | str], None]
-"""Takes a run and, like `run.ProgressCallback`, how far it is."""
+"""Called with a run and its progress, as `run.ProgressCallback`."""
 
 
 def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: None) -> dict[str, Any]:
-    """Learn, or go on where an earlier call was cut off; read a finished run instead of learning it again.
+    """Train a run, resuming an interrupted one; a finished run is read, not trained again.
 
-    The folder of the run then holds result.json, which is returned, its curves (see `curves`), and what
-    `Trainer.finish` writes. A finished run
-    keeps no checkpoint, which is large with a replay: it cannot be made longer.
+    The run's folder then holds result.json, whose content is returned, the curves (see `curves`), and the files that
+    `Trainer.finish` writes. A finished run keeps no checkpoint, since a replay buffer makes it large; so a finished
+    run cannot be extended.
 
     Args:
-        run: Run to learn.
+        run: Run to train.
         options: Settings of the experiment.
-        report: Function that is called after each iteration, and where a run goes on.
+        report: Called after each iteration, and when a run is resumed.
 
     Returns:
         `run` (its fingerprint), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures that
         `Trainer.finish` returned, and `cpu_seconds` of all of it.
 
     Raises:
-        LearningError: The folder holds another run, one of other iterations, or something damaged.
+        LearningError: The folder holds another run, a different number of iterations, or a damaged file.
         CtrlRlError: The learner refuses.
     """
     import torch  # takes seconds: not before a command's options are right

@@ -74,7 +74,7 @@ class ActorNetwork(nn.Module):
         self.biases = nn.ParameterList(torch.tensor(each) for each in actor.biases)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the actions; where an actor cuts them off, gradients pass as if it did not."""
+        """Return the actions; gradients pass straight through the clipping of an actor without tanh."""
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = linear(x, weight, bias)
             if index < len(self.weights) - 1:

@@ -95,17 +95,17 @@ class Explorer:
         self._seen, self._solved_at = False, -math.inf
 
     def sent(self, command: Array) -> None:
-        """Note what was sent in the end, from which the next command may differ as the accelerations allow."""
+        """Record the command that was actually sent; acceleration limits apply relative to this command."""
         self._command = np.array(command, np.float64)
 
     def see(self, now: float, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
-        """Take a scan; what moves does not go on the map.
+        """Add a scan to the map, leaving out moving obstacles.
 
         Args:
             now: Steady time [s].
             origin: Place of the lidar (2,) [m].
             ends: Ends of its beams, in their order (n, 2) [m].
-            echoes: Which of them met something (n,).
+            echoes: Whether each beam hit something (n,).
         """
         self._seen, points = True, ends[echoes]
         velocities = self._moving.update(now, origin, points)
@@ -135,7 +135,7 @@ class Explorer:
         return choice.command
 
     def _solve(self) -> None:
-        """Solve the time to reach on what has been seen; where walls take the goal, the old one stays."""
+        """Solve the time to reach on the map so far; keep the old value if walls cover the goal."""
         solver = MapSolver(self._map.occupancy(), self.limits, self.options.slowest, self.options.ease, True)
         try:
             self.value = solver.solve(self.goal, self.options.tolerance, widest=2.0 * self.options.tolerance)

@@ -1,4 +1,4 @@
-"""The navigator as a driver: sensors with a pose on the map in, commands out; in process and in its node."""
+"""The navigator as a `Driver`, for its node and for in-process simulation; sensors must include a pose on the map."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class NavigatorDriver:
         self._echoes, self._seen_from = np.empty((0, 2)), _NOWHERE
 
     def see(self, sensors: Sensors) -> None:
-        """Take a scan, with odometry, and pose where it is known, as they were when it was taken."""
+        """Take a scan, with the odometry and (if known) the pose from when it was taken."""
         try:
             points = view_scan(sensors.ranges, sensors.scan, math.inf, self._lidar_x).points
         except ScanError:
@@ -50,7 +50,7 @@ class NavigatorDriver:
             self.navigator.see(sensors.time, sensors.pose, self._echoes)
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,), zeros where the pose is unknown; a scan that was just taken is seen, too."""
+        """Return the command (2,), zeros if the pose is unknown; a new scan is processed first."""
         self.navigator.sent(sensors.command)
         if sensors.age == 0.0:
             self.see(sensors)
@@ -63,7 +63,7 @@ class NavigatorDriver:
         return self.decision.command
 
     def wait(self, now: float, problem: str, remaining_time: float = math.nan) -> Array:
-        """Let the background go on, and return the command of a robot that must stand for some reason (2,)."""
+        """Keep background work going and return the stop command (2,), with `problem` as the reason."""
         self.navigator.poll(now)
         self.decision = Decision(_STAND, NavigatorState.WAITING, problem, remaining_time)
         return _STAND

@@ -1,4 +1,4 @@
-"""Roll-outs of candidate commands: their time, what they come near to, and the time that is left at their ends."""
+"""Roll-outs of candidate commands: their duration, their clearance, and the time to reach from where they end."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def _gap(
 ) -> tuple[float, bool]:
     """Return the distance of the nearest echo to the robot's middle [m], and whether one that is too near comes nearer.
 
-    The time to reach counts with the middle's distance. A cost by that of the rectangle would be larger than it
-    promises, and to wait would seem better than to drive.
+    The time to reach is computed from the middle's clearance. A cost based on the rectangle's clearance would exceed
+    it, and waiting would seem better than driving.
     """
     _squares(points, time, x, y, squares)
     least, odd, even = np.inf, np.inf, len(squares) // 2 * 2
@@ -167,7 +167,7 @@ def _cost(
 def choose(
     times: Any, place: Any, points: Array, rules: Any, motion: tuple[float, float], candidates: Array
 ) -> tuple[int, float]:
-    """Return the candidate of the least cost, -1 for none that is safe, and that cost [s]."""
+    """Return the index of the safe candidate with the lowest cost, -1 if none is safe, and its cost [s]."""
     now, squares = np.empty(points.shape[1]), np.empty(points.shape[1])
     for i in range(len(now)):
         now[i] = math.sqrt(_beside(points, i, 0.0, 0.0, 0.0, 1.0, 0.0, rules))

@@ -1,4 +1,4 @@
-"""The answer to a raw command, in one call: the command itself, a turn to unblock, a near one, or braking."""
+"""The answer to a raw command: the command itself, a turn to unblock the robot, a nearby command, or braking."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _STEADY = 0.3
 
 
 class Request(NamedTuple):
-    """A command that is wanted, and what is known beside it.
+    """A requested command, with the limits and the state of the filter.
 
     Attributes:
         raw: Command that is wanted, within the limits [m/s, rad/s].
@@ -152,8 +152,8 @@ def _nearest(
 ) -> Any:
     """Return the certified command nearest to a wanted one, its margin and its escape; a margin below zero for none.
 
-    One that stays certified until the next scan need not be taken back as this scan grows old. Where the nearest one
-    does not, it is slowed until it does, unless little more than standing would be left.
+    A command that stays certified until the next scan need not be withdrawn as this scan ages. If the nearest command
+    does not, it is slowed until it does, unless that would almost stop the robot.
     """
     speeds, turns = _window(sit, ask, state, wanted)
     wide_v, wide_w = max(speeds.max() - speeds.min(), 1e-3), max(turns.max() - turns.min(), 1e-3)
@@ -188,11 +188,11 @@ def _nearest(
 
 @njit
 def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return full braking with the turn rate that leaves the most room, its margin and its escape.
+    """Return full braking with the turn rate that leaves the largest margin, that margin, and the kind of its escape.
 
-    Among them are those with which any escape that was certified before goes on. A disc that stands has as much room
-    whichever way it turns: it turns as it is wanted to where it is to stand, and no farther than `_ASIDE` elsewhere. A
-    rectangle that stands stops turning, as it sweeps space.
+    The turn rates tried include those that continue any escape certified earlier. Turning a disc at rest takes no
+    space: the disc turns as requested if the raw command stops it, and by at most `_ASIDE` otherwise. A rectangle at
+    rest stops turning, because its corners sweep space.
     """
     to_stand, is_disc = abs(ask.raw[0]) < STANDS, sit.core[0] == 0.0
     if abs(state[3]) < STANDS and (not is_disc or to_stand or abs(ask.turned) > _ASIDE):
@@ -242,7 +242,7 @@ def _smaller(sit: Any, by: float) -> Any:
 
 @njit
 def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> bool:
-    """Return whether there is an escape that was certified before; a disc that stands needs none."""
+    """Return whether an earlier certified escape must be kept; a disc at rest needs none."""
     return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
 
 

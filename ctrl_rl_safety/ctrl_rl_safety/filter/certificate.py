@@ -1,8 +1,8 @@
-"""Certifies a command: rolls it out until the next one can have an effect, and then an escape until the robot stands.
+"""Certifies a command: simulates it until the next one can take effect, then an escape until the robot has stopped.
 
-The robot at each place on the way, a disc or a rectangle, is checked against all grown echoes. Between two places it
-lies within half of the way between them, which is added to what it needs. A command is certified where some escape
-leaves a margin of zero or more.
+At each time step the robot, a disc or a rectangle, is checked against all inflated echoes. Half the distance covered
+between two steps is added to the required clearance, so that the motion in between is covered too. A command is
+certified if some escape leaves a margin of zero or more.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ BAND = 0.08
 
 
 class Guide(NamedTuple):
-    """The recoverable set as machine code takes it.
+    """The recoverable set, for compiled code.
 
     Attributes:
         values: Values of the set; one node where there is none.
@@ -56,7 +56,7 @@ NO_GUIDE = Guide(np.zeros((1, 1, 1, 1), np.float32), 0.0, 0.0, 1.0, 1.0, False)
 
 
 class Situation(NamedTuple):
-    """Everything that a certificate is made of.
+    """All inputs of a certificate.
 
     Attributes:
         obstacles: Echoes in the frame of the odometry.
@@ -91,7 +91,7 @@ def outer_speed(v: float, omega: float, core: tuple[float, float]) -> float:
 
 @njit(inline="always")
 def _checked(sit: Any, state: tuple[float, float, float, float, float], t: float) -> float:
-    """Return the margin of a state; what comes to a robot that stands is no fault of its own."""
+    """Return the margin of a state; a robot at rest is not blamed for obstacles that approach it."""
     x, y, theta, v, omega = state
     speed = outer_speed(v, omega, sit.core)
     slack = 0.5 * speed * sit.motion.step
@@ -134,9 +134,9 @@ def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> floa
 def _escape_turn(
     sit: Any, state: tuple[float, float, float, float, float], kind: int, step: int, before: float
 ) -> float:
-    """Return the turn rate to command in a step of an escape [rad/s]; one that stands stops to turn, too.
+    """Return the turn rate to command in a step of an escape [rad/s]; a rectangle at rest stops turning, too.
 
-    It changes only when a new command may come, so that what is certified can be driven.
+    The turn rate changes only when a new command may be sent, so that the robot can drive what was certified.
 
     Args:
         sit: Motion and set.

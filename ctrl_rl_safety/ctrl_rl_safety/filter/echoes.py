@@ -1,8 +1,8 @@
-"""Echoes of a scan as surfaces, and which of them are known to stand.
+"""Echoes of a scan as surfaces, and which of them are known to be static.
 
-Two neighbouring echoes nearer to each other than the robot is wide may belong to one surface: places between them are
-added, so that the robot's disc does not dip in between. An echo is known to stand where every scan of some time before
-has an echo near it. It belongs to a mover otherwise.
+Two neighbouring echoes that are closer together than the robot is wide may belong to one surface: points are added
+between them, so that the robot's disc cannot dip in between. An echo is known to be static if every scan of a time span
+has an echo near it. Otherwise it is treated as part of a moving obstacle.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _THIN = 0.01
 
 
 def thinned(points: Array) -> Array:
-    """Return echoes in the order of their beams (n, 2) [m], of which there are not too many."""
+    """Return at most `_MOST_POINTS` of the echoes, in the order of their beams (n, 2) [m]."""
     if len(points) <= _MOST_POINTS:
         return points
     _, first = np.unique(np.floor(points / _THIN).astype(np.int64), axis=0, return_index=True)
@@ -64,7 +64,7 @@ def _between(begin: Array, end: Array, lengths: Array, spacing: float) -> tuple[
 
 @cached_njit
 def near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]:
-    """Return which points (n, 2) have any of the others (m, 2) within a distance [m] (n,)."""
+    """Return whether each point (n, 2) lies within a distance [m] of any of `others` (m, 2) (n,)."""
     out = np.zeros(len(points), np.bool_)
     square, count, last = distance * distance, len(others), 0
     for i in range(len(points)):
@@ -78,7 +78,7 @@ def near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]
 
 
 class EchoMemory:
-    """The scans of the last while, in a frame that stands still.
+    """The recent scans, in a fixed frame.
 
     Args:
         span: Time for which an echo must have been there to be known to stand [s].
@@ -89,7 +89,7 @@ class EchoMemory:
         self._scans: deque[tuple[float, Array]] = deque(maxlen=200)
 
     def update(self, now: float, points: Array) -> NDArray[np.bool_]:
-        """Take a scan at a steady time [s] and return which of its places (n, 2) are known to stand (n,)."""
+        """Take a scan at a steady time [s] and return which of its places (n, 2) are known to be static (n,)."""
         while len(self._scans) > 1 and self._scans[1][0] <= now - self._span:
             self._scans.popleft()
         known = np.zeros(len(points), np.bool_)
@@ -105,5 +105,5 @@ class EchoMemory:
         return known
 
     def clear(self) -> None:
-        """Forget all scans, as the frame has jumped."""
+        """Forget all scans, because the frame has jumped."""
         self._scans.clear()

@@ -55,7 +55,7 @@ class Craft(NamedTuple):
 
 
 def craft_of(model: QuadrotorModel, tick: float) -> Craft:
-    """Return a model as machine code takes it, for thrusts that are held for `tick` seconds."""
+    """Return a model for compiled code, for thrusts that are held for `tick` seconds."""
     tilt = model.tilt_limit - _BELOW_LIMIT
     weight, most, least = model.mass * model.gravity, 2.0 * model.most, 2.0 * model.least
     aside = min(math.sqrt(most**2 - weight**2) / model.mass, model.gravity * math.tan(tilt))
@@ -68,7 +68,7 @@ def craft_of(model: QuadrotorModel, tick: float) -> Craft:
 
 
 def shape_rows(shapes: Sequence[Shape]) -> Array:
-    """Return shapes as rows (k, 7): middle, cosine and sine of the angle, half the sides, and the radius of a disc."""
+    """Return shapes as rows (k, 7): centre, cosine and sine of the angle, half side lengths, and radius of a disc."""
     rows = [
         (*shape.centre, math.cos(shape.angle), math.sin(shape.angle), 0.5 * shape.size[0], 0.5 * shape.size[1], 0.0)
         if isinstance(shape, Box)

@@ -181,7 +181,7 @@ class RobotModel:
 
 
 class _Robots(Mapping[str, RobotModel]):
-    """The suite's robots on wheels, each read when it is asked for."""
+    """The suite's wheeled robots, each loaded on access."""
 
     def __getitem__(self, name: str) -> RobotModel:
         if name not in robot_names():
@@ -196,7 +196,7 @@ class _Robots(Mapping[str, RobotModel]):
 
 
 ROBOTS: Mapping[str, RobotModel] = _Robots()
-"""Constants of robots that many have; measure one's own with `identify` before one trusts them."""
+"""Constants of common robots; measure your own robot with `identify` before you trust them."""
 
 
 def find_model(name: str) -> RobotModel:

@@ -97,7 +97,7 @@ class AttackRun(SimulatedRun):
 
     @property
     def task(self) -> NavigationTask:
-        """The room."""
+        """The task: a room in which an attacker tries to cause contacts."""
         return attacked_room(self.robot, self._model)
 
     @property

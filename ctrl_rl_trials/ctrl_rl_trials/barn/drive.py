@@ -1,4 +1,4 @@
-"""One drive of the benchmark and its score: the simulator, a driver, and a filter below it."""
+"""One drive of the benchmark and its score: the simulator, a driver, and an optional filter."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class BarnDrive:
 
 
 class BarnRobot:
-    """The robot of a scenario in Gymnasium's form: it is cut where it stays at a place, or when its time is over.
+    """The robot of a scenario in Gymnasium's form: an episode is truncated if the robot is stuck or time is up.
 
     Attributes:
         trace: x, y, theta and the command of each period (5,).
@@ -87,7 +87,7 @@ class BarnRobot:
         self._begun, self._last, self._last_at = math.nan, world.pose(), 0.0
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
-        """Begin the episode of a seed."""
+        """Begin an episode with a seed."""
         out = self._robot.reset(seed=seed)
         self._begun, self._last, self._last_at = math.nan, self._world.pose(), 0.0
         return out
@@ -132,10 +132,10 @@ def drive(
     Args:
         scenario: World to drive in.
         driver: Driver that has not driven yet.
-        check: Filter below it; None for none.
+        check: Filter for the driver's commands, or None.
         seed: Seed of noise and drift.
         options: Settings of the simulation.
-        trace: Takes x, y, theta and the command of each period (5,).
+        trace: List to which x, y, theta and the command of each period (5,) are added.
     """
     world = SimulatedWorld(scenario.task, seed, options=options)
     try:

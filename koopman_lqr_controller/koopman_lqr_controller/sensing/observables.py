@@ -40,7 +40,7 @@ class CorridorObservables:
 
     @cached_property
     def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to, from behind right over ahead to behind left."""
+        """Sectors to which a scan is resampled, counter-clockwise from the rear right to the rear left."""
         left = np.deg2rad(self.bearings_deg)
         return Sectors((*(-left[::-1]).tolist(), *left.tolist()), float(np.deg2rad(self.half_width_deg)), self.far)
 
@@ -57,10 +57,10 @@ class CorridorObservables:
     def observe(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
         """Return Psi(x) (n,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
-        It is dimensionless but for the last two components, which are these.
+        All components are dimensionless except the last two, the turn rate and the speed.
 
         Raises:
-            ScanError: nothing can be seen in the scan.
+            ScanError: the scan has no usable beam.
             KoopmanError: speed or turn rate are not finite.
         """
         check_speeds(v, omega)
@@ -69,7 +69,7 @@ class CorridorObservables:
         return np.concatenate((nearness[half:] - nearness[half - 1 :: -1], (omega, v)))
 
     def state_cost(self, side: float, ahead: float, speed: float) -> Array:
-        """Return the diagonal of Q (n,): how much it costs to be off the middle, to face a wall, to miss the speed.
+        """Return the diagonal of Q (n,): weights on lateral offset, a wall ahead, and speed error.
 
         Args:
             side: Weight on the nearness differences at 60 to 120 deg, together.

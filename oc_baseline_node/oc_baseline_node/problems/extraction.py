@@ -86,8 +86,8 @@ def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | 
     Args:
         task: Task that the problem is extracted from.
         form: Form of the problem, one of `FORMS`.
-        clearance: Minimum distance d_min from obstacles [m]; the task's, but more than the body's radius, where it is
-            None.
+        clearance: Minimum distance d_min from obstacles [m]; None for the task's, raised above the body's radius if
+            necessary.
 
     Raises:
         OcError: No candidate meets the criteria, the task's own model does not, or `formulate` refuses the task.

@@ -13,7 +13,7 @@ _TRIES = 10_000
 
 
 def state_space(problem: OptimalControlProblem) -> Array:
-    """Return minimum and maximum start (2, n): the problem's bounds, the model's own where the problem has none."""
+    """Return the bounds of start states (2, n): the problem's, or the model's where the problem has none."""
     own = np.array([[s.lower for s in problem.system.states], [s.upper for s in problem.system.states]])
     space = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, own)
     if not np.isfinite(space).all():

@@ -97,7 +97,7 @@ class CollisionSet:
         return out
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
+        """Return the set as plain JSON values."""
         shapes = [
             {"box": [*shape.centre, *shape.size, shape.angle]}
             if isinstance(shape, Box)
@@ -110,6 +110,6 @@ class CollisionSet:
 
     @classmethod
     def from_file(cls, told: CollisionHeader) -> CollisionSet:
-        """Return what `as_json` wrote."""
+        """Build the set from the JSON values of `as_json`."""
         limit = np.inf if told.tilt_limit is None else told.tilt_limit
         return cls(tuple(shape.shape for shape in told.shapes), told.radius, told.reward, limit, told.tilt_reward)

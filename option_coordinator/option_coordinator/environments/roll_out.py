@@ -93,7 +93,7 @@ def play_episodes(
     seeds: range,
     at_end: Callable[[Decision], object] = lambda _: None,
 ) -> Iterator[OptionEpisode]:
-    """Play an episode for each seed with any policy; `at_end` gets each last decision, which needs no answer."""
+    """Play one episode per seed with any policy; `at_end` receives the final decision of each episode."""
     for seed in seeds:
         decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:

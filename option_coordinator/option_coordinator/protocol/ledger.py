@@ -154,10 +154,10 @@ class RobotState:
         return higher and self.claims_since is not None and now - self.claims_since >= patience
 
     def ask(self, request_id: int, now: float) -> None:
-        """Let it wait for an answer: its last option has ended.
+        """Record that the robot waits for a grant: its last option has ended.
 
         Raises:
-            OptionError: it was never heard, or the request is older than what it has.
+            OptionError: the robot was never heard, or the request is older than its last one.
         """
         self._must_be_heard()
         if request_id < self.request_id or self.answered(request_id):
@@ -176,7 +176,7 @@ class RobotState:
         """Grant an option that begins now, with its stamp [s].
 
         Raises:
-            OptionError: it is not waiting for one.
+            OptionError: the robot is not waiting for an option.
         """
         if self.state is not State.WAITING:
             raise OptionError(f"'{self.agent}' is {self.state}: only who waits is granted an option")
@@ -185,10 +185,10 @@ class RobotState:
         self.phase = State.GRANTED
 
     def acknowledge(self) -> None:
-        """Record that it runs its granted option.
+        """Record that the robot runs its granted option.
 
         Raises:
-            OptionError: it has none.
+            OptionError: the robot has no option.
         """
         if not self.holds:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no grant to acknowledge")
@@ -216,17 +216,17 @@ class RobotState:
         self.phase = State.RUNNING
 
     def cancel(self) -> None:
-        """Cancel its option. It holds the option until it asks again, because it may still run it.
+        """Cancel the robot's option, which it holds until it asks again, because it may still run.
 
         Raises:
-            OptionError: it has none.
+            OptionError: the robot has no option.
         """
         if not self.holds:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no option to cancel")
         self.cancelled = True
 
     def end(self) -> None:
-        """Record that it neither runs nor wants an option; the answer to its request stays known.
+        """Record that the robot neither runs nor wants an option; the answer to its request stays known.
 
         Raises:
             OptionError: it was never heard.

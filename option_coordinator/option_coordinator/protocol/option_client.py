@@ -159,7 +159,7 @@ class OptionClient:
             self.ask(now, result, terminated)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Record that a coordinator of its team decides; from now on grants of lower epochs do not count."""
+        """Adopt the epoch of its team's coordinator; grants of lower epochs are ignored from now on."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
         if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1

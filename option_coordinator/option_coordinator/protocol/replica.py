@@ -66,7 +66,7 @@ class Replica:
 
     @property
     def epochs_not_believed(self) -> int:
-        """Number of epochs that were not believed."""
+        """Number of epochs rejected as implausible."""
         return self._election.seen.refused
 
     @property

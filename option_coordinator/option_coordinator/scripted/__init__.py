@@ -1,4 +1,4 @@
-"""Hand-written policies: baselines, optima, and coordination without a file."""
+"""Hand-written policies: baselines, optimal policies, and coordination without a policy file."""
 
 import lazy_loader as lazy
 

@@ -51,11 +51,11 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
         }
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Return what an agent observes."""
+        """Return the observation space of an agent."""
         return self._observations[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Return an agent's options."""
+        """Return the action space of an agent: its options."""
         return self._actions[agent]
 
     def reset(

@@ -71,7 +71,7 @@ class EpisodeState:
 
 
 class TerminationChecker:
-    """Decides the outcome of an episode by the task's sets."""
+    """Decides the outcome of an episode from the task's goal, trap, tilt limit and time limit."""
 
     def __init__(self, task: NavigationTask, system: System, path: ArcPath | None) -> None:
         names = system.state_names if path is None else PATH_NAMES

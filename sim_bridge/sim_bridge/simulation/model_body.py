@@ -67,7 +67,7 @@ class ModelBody:
         return self._of(self._system.dynamics(self._state, self._command))
 
     def _of(self, values: Array) -> Array:
-        """Return the pose components (3,) of a state or of its rates."""
+        """Pick the pose components (3,) from a state or from its derivative."""
         x, second = values[self._places]
         return np.array((x, second, 0.0 if self._angle is None else values[self._angle]))
 

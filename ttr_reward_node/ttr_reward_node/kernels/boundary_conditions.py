@@ -1,4 +1,4 @@
-"""Outcomes of the steps near target and obstacles, between the nodes; found once, before the sweeps; compiled."""
+"""Compiled checks of which steps hit the target or an obstacle between nodes, computed once before the sweeps."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BoundaryConditions(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Ways of the steps from some slabs, as straight pieces.
+    """Paths of the steps from some slabs, as straight segments.
 
     Attributes:
         durations: Durations (k, pairs) [s]; 0 where there is no step.
@@ -72,8 +72,8 @@ def find_outcomes(
 ) -> None:
     """Fill `outcomes` (N, pairs) of nodes (N,): the discount exp(-rate t) of a hit of the target, or a code.
 
-    A step that ends in a cell which the target's edge cuts goes on for a little under the same control to find the hit:
-    interpolating there would lengthen every path by a part of a cell.
+    A step that ends in a cell cut by the target's edge is extended a little under the same control to find the hit:
+    interpolating there would lengthen every path by a fraction of a cell.
 
     Args:
         nodes: Nodes near the target or an obstacle (N,).

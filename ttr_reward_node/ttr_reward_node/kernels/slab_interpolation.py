@@ -1,7 +1,7 @@
-"""Interpolation at the ends of the steps from all nodes of a slab, by the rule of `row_interpolation`. Compiled.
+"""Compiled interpolation where the steps from all nodes of a slab end, by the rule of `row_interpolation`.
 
-All loops over the nodes are kept plain: they become vector code. So the rule's exceptions, such as corners that are
-unreachable, are worked out for all nodes and chosen afterwards.
+All loops over the nodes are branch-free, so that the compiler vectorises them. The rule's special cases, such as
+unreachable corners, are computed for all nodes and selected afterwards.
 """
 
 from __future__ import annotations

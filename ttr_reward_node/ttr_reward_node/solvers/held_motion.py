@@ -1,7 +1,7 @@
 """Motion of a system under a held control, until it has moved a given number of cells.
 
-The semi-Lagrangian scheme asks for steps by their length on the grid, not by their duration: a state that creeps gets
-as long as it needs. So the validity of a step does not depend on how much faster the system moves elsewhere.
+The semi-Lagrangian scheme sets the length of a step on the grid, not its duration: a slow state gets as much time as
+it needs. So the validity of a step does not depend on how much faster the system moves elsewhere.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Motion:
     def path(self, parts: int) -> Array:
         """Return displacements (k, p, parts, n) [cells] after each part of the duration.
 
-        Cubic between the two ends, with the rates there: as exact as the step, and without asking the system again.
+        Cubic Hermite interpolation between the two ends: as accurate as the step, without evaluating the system again.
         """
         out = np.empty((*self.moves.shape[:-1], parts, self.moves.shape[-1]))
         h = self.durations[..., None]
@@ -80,7 +80,7 @@ class Motion:
         return out
 
     def hull(self) -> tuple[Array, Array]:
-        """Return the lower and upper corner (k, p, n) [cells] of a box that no path leaves: its control points'."""
+        """Return the lower and upper corner (k, p, n) [cells] of a box around each path, that of its control points."""
         third = self.durations[..., None] / 3.0
         points = third * self.first, self.moves - third * self.last, self.moves
         return reduce(np.minimum, points, np.zeros(1)), reduce(np.maximum, points, np.zeros(1))

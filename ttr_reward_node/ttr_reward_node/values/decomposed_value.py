@@ -1,4 +1,4 @@
-"""The maximum of several value grids over parts of a state, with the same questions as a `ValueGrid`, and its file."""
+"""The maximum of several value grids over parts of the state, with the interface of a `ValueGrid`, and its file."""
 
 from __future__ import annotations
 

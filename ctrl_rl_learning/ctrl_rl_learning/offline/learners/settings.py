@@ -1,4 +1,4 @@
-"""Settings of offline learning, and the ways that there are."""
+"""Settings and methods of offline learning."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class LearningSettings:
     Attributes:
         method: One of `METHODS`.
         updates: Number of updates of the networks.
-        batch: Transitions of an update.
+        batch: Transitions per update.
         hidden: Units of each of the two hidden layers.
         rate: Learning rate of Adam.
-        discount: Discount of a step.
+        discount: Discount per step.
         seed: Seed of weights and batches.
         expectile: Expectile of IQL's value; 0.5 is the mean.
         temperature: Advantage that multiplies a weight by e, in standard deviations (value_weight), in gains of the
-            best action over the middle one (value_model) or in scaled rewards (iql); None for that of `TEMPERATURES`.
+            best action over the median one (value_model) or in scaled rewards (iql); None for that of `TEMPERATURES`.
         bc_alpha: Weight of the critic beside cloning, the alpha of TD3+BC.
         conservatism: Weight of CQL's penalty.
     """

@@ -25,7 +25,7 @@ class _Header(Schema):
 
 @dataclass(frozen=True)
 class NetworkPolicy:
-    """The action is tanh(u), u = network(x); in a roll-out u itself takes the place of z.
+    """A policy with the action tanh(u), u = network(x); roll-outs use u as the lifted state z.
 
     Attributes:
         encoder: The network, from x to u.
@@ -44,17 +44,17 @@ class NetworkPolicy:
         return z
 
     def saturate(self, u: Array) -> Array:
-        """Return the action in [-1, 1] that stands for u."""
+        """Return the action tanh(u), in [-1, 1]."""
         return np.tanh(u)
 
     def save(self, path: Path) -> None:
-        """Write it; the file, replaced if it exists, is there whole or not at all."""
+        """Write the policy atomically, replacing any existing file."""
         description, tensors = self.encoder.describe()
         save_arrays(path, tensors, {"network": description, "manifest": dict(self.manifest)})
 
     @classmethod
     def load(cls, path: Path) -> NetworkPolicy:
-        """Return what `save` wrote.
+        """Load a policy that `save` wrote.
 
         Raises:
             KoopmanError: the file is missing or is something else; the message names it.

@@ -89,14 +89,14 @@ class CarelessScript:
 
 
 class DrawnPolicy:
-    """A policy that draws its options."""
+    """A policy that samples its options."""
 
     def __init__(self, policy: OptionPolicy, seed: int) -> None:
         self.digest = policy.digest
         self._joint, self._generator = policy.joint, np.random.default_rng((seed, 2))
 
     def __call__(self, decision: Decision) -> Choice:
-        """Return a draw."""
+        """Sample options, with their log-probability."""
         conditional = self._joint.valid(decision)
         options = conditional.sample(self._generator)
         return Choice(options, float(conditional.log_prob(options)))
