@@ -83,7 +83,7 @@ def _preload(work: Callable[..., Any], *items: object) -> None:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that ignore the terminal's signals: this process handles them and ends the others."""
+    """Make processes started in the block ignore the terminal's signals: this process handles them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
