@@ -9,7 +9,7 @@ setup_package(
         "console_scripts": [
             "navigator = ctrl_rl_navigation.nodes.navigator_node:main",
             "map_server = ctrl_rl_navigation.nodes.map_node:main",
-            "trials = ctrl_rl_navigation.trials:trials",
+            "trials = ctrl_rl_navigation.cli.trials:main",
         ],
     }
 )

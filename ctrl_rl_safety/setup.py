@@ -10,8 +10,8 @@ setup_package(
             "safety_filter = ctrl_rl_safety.nodes.safety_filter_node:main",
             "flight_guard = ctrl_rl_safety.nodes.flight_guard_node:main",
             "identify = ctrl_rl_safety.cli.identify:main",
-            "train = ctrl_rl_safety.cli.simulated:train",
-            "trials = ctrl_rl_safety.cli.simulated:trials",
+            "train = ctrl_rl_safety.training.command:train",
+            "trials = ctrl_rl_safety.trials.command:main",
         ],
     }
 )

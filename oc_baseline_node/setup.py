@@ -10,11 +10,11 @@ setup_package(
             "analyse = oc_baseline_node.training.analysis.cli:main",
             "baseline = oc_baseline_node.node:main",
             "oc = oc_baseline_node.cli:main",
-            "evaluate = oc_baseline_node.learning:evaluate",
-            "export = oc_baseline_node.learning:export",
-            "plot = oc_baseline_node.learning:plot",
-            "train = oc_baseline_node.learning:train",
-            "training_figures = oc_baseline_node.learning:training_figures",
+            "evaluate = ctrl_rl_learning.cli.evaluate:evaluate",
+            "export = ctrl_rl_learning.cli.export:export",
+            "plot = oc_baseline_node.training.cli:plot",
+            "train = oc_baseline_node.training.cli:train",
+            "training_figures = oc_baseline_node.training.cli:training_figures",
         ],
     }
 )

@@ -9,13 +9,13 @@ setup_package(
         "console_scripts": [
             "coordinator = option_coordinator.nodes.coordinator_node:main",
             "navigation_agent = option_coordinator.nodes.navigation_agent:main",
-            "evaluate = option_coordinator.learning:evaluate",
-            "evaluate_offline = option_coordinator.learning:evaluate_offline",
+            "evaluate = option_coordinator.training.cli.learning:evaluate",
+            "evaluate_offline = option_coordinator.training.cli.learning:evaluate_offline",
             "replay = option_coordinator.cli:replay",
-            "loop = option_coordinator.learning:loop",
-            "train = option_coordinator.learning:train",
-            "plot = option_coordinator.learning:plot",
-            "training_figures = option_coordinator.learning:training_figures",
+            "loop = option_coordinator.training.cli.learning:loop",
+            "train = option_coordinator.training.cli.learning:train",
+            "plot = option_coordinator.training.cli.learning:plot",
+            "training_figures = option_coordinator.training.cli.learning:training_figures",
         ],
     }
 )

@@ -13,11 +13,11 @@ setup_package(
             "slices = ttr_reward_node.cli.values:slices",
             "solve = ttr_reward_node.cli.values:solve_value",
             "ttr_experiments = ttr_reward_node.cli.experiments:main",
-            "evaluate = ttr_reward_node.cli.learning:evaluate",
-            "export = ttr_reward_node.cli.learning:export",
-            "plot = ttr_reward_node.cli.learning:plot",
-            "train = ttr_reward_node.cli.learning:train",
-            "training_figures = ttr_reward_node.cli.learning:training_figures",
+            "evaluate = ctrl_rl_learning.cli.evaluate:evaluate",
+            "export = ctrl_rl_learning.cli.export:export",
+            "plot = ttr_reward_node.training.cli:plot",
+            "train = ttr_reward_node.training.cli:train",
+            "training_figures = ttr_reward_node.training.cli:training_figures",
         ],
     }
 )

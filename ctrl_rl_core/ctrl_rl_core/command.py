@@ -10,7 +10,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, overload
 
@@ -227,17 +226,6 @@ OptionalFileToWrite = Annotated[Path | None, checked(file_to_write, "FILE")]
 FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
 OptionalFolderToWrite = Annotated[Path | None, checked(folder_to_write, "FOLDER")]
 """An option that names a folder to write to."""
-
-
-def run_imported(program: str, module: str, function: str) -> int:
-    """Run a command whose module needs packages that a robot's install leaves out, and return its exit code.
-
-    Args:
-        program: Name of the command in messages.
-        module: Module that is imported here, so that what is missing is one line.
-        function: Name of the function in it that runs the command.
-    """
-    return run_command(program, lambda: int(getattr(import_module(module), function)()))
 
 
 def make_command(

@@ -7,10 +7,10 @@ from contextlib import suppress
 import gymnasium
 import numpy as np
 import pytest
+from ctrl_rl_learning.cli.evaluate import evaluate
 from ctrl_rl_learning.sb3 import FleetEnvironments, Visits, algorithms
 from ctrl_rl_learning.study import RunOptions, samples_to
 from ctrl_rl_learning.study import train as train_run
-from ttr_reward_node.cli import learning
 from ttr_reward_node.rewards.progress import PER_SECOND, TimeToReach
 from ttr_reward_node.training.cli import plot, train
 from ttr_reward_node.training.plots import draw_visits
@@ -88,7 +88,7 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
     )
-    assert learning.evaluate() == 0
+    assert evaluate() == 0
     assert "episodes   2 of quad_ttr, from seed 0" in capsys.readouterr().out
 
 
