@@ -7,14 +7,14 @@ its table of 16-bit displacements, and nothing else is kept. Two sweeps of three
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, INTERPOLATE, LOST, NEAR, PASSES_TARGET
-from ttr_reward_node.kernels.row_interpolation import Part, curvature
+from ttr_reward_node.kernels.row_interpolation import Part, Rule, curvature, find_part, place_turn
 from ttr_reward_node.kernels.stencil import MOST_AXES, PER_CELL, Floats, Grid, Integers, StepTable
 from ttr_reward_node.kernels.sweep import TINY, Nodes, SweepSettings, change_of
 
@@ -58,21 +58,6 @@ Corners = Any
 """Record of the dtype `CORNERS`."""
 
 
-class _Rule(NamedTuple):
-    """Interpolation of one sweep.
-
-    Attributes:
-        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
-            as w = 0.
-        enough: Weight of the corners that must be reachable.
-        curved: Whether the curvature is added.
-    """
-
-    jump: np.float32
-    enough: np.float32
-    curved: bool
-
-
 @njit(**_OPTIONS)
 def sweep_nodes(
     nodes: Nodes,
@@ -100,11 +85,8 @@ def sweep_nodes(
         The largest change of phi [s], infinite where a node became reachable or unreachable.
     """
     n, last = grid.n, grid.counts[grid.n - 1]
-    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
-    own = Part(0, len(nodes.flags), 0)
-    if parts > 1:
-        own = Part(first * grid.strides[0], until * grid.strides[0], len(nodes.flags))
-    rule = _Rule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
+    first, until, own = find_part(grid, len(nodes.flags), part, parts)
+    rule = Rule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
     grow = settings.curved or settings.jump == np.inf or not full
     # Numba counts references whenever it takes an array out of a tuple: not in the loop.
     values, flags, outcomes, row_near = nodes
@@ -116,13 +98,7 @@ def sweep_nodes(
     largest = np.float32(0.0)
     down = (settings.bits >> (n - 1)) & 1 == 1
     for turn in range((until - first) * grid.strides[0] // last if n > 1 else 1):
-        rest, offset = turn, np.int64(0)
-        for k in range(n - 2, -1, -1):
-            low, high = (first, until) if k == 0 else (np.int64(0), grid.counts[k])
-            i = rest % (high - low)
-            rest //= high - low
-            index[k] = high - 1 - i if (settings.bits >> k) & 1 else low + i
-            offset += index[k] * grid.strides[k]
+        offset = place_turn(grid, n - 1, turn, first, until, settings.bits, index)
         near = row_near[offset // last + 1] if down else row_near[offset // last] - 1
         for j_turn in range(last):
             node = offset + (last - 1 - j_turn if down else j_turn)
@@ -179,6 +155,29 @@ def sweep_nodes(
 
 
 @njit(**_INLINE)
+def _lower_node(grid: Grid, k: int, at: int, cells: int) -> tuple[int, int, int]:
+    """Return where a step from node `at` ends along axis k: the node below, the part of a cell above it, the stride up.
+
+    The node is -1 where the step leaves the grid; `cells` and the part are in 1 / PER_CELL cells.
+    """
+    lower, part = at + (cells >> _BITS), cells & (PER_CELL - 1)
+    count, ahead = grid.counts[k], grid.strides[k]
+    if grid.periodic[k]:
+        if lower < 0 or lower >= count:
+            lower %= count
+        if lower == count - 1:
+            ahead = -lower * grid.strides[k]
+    else:
+        if lower == -1 and part >= PER_CELL - _ROUNDED:
+            lower, part = 0, 0
+        if lower == count - 1 and part <= _ROUNDED:
+            part = 0
+        if lower < 0 or lower + (part > 0) >= count:
+            lower = -1
+    return lower, part, ahead
+
+
+@njit(**_INLINE)
 def _go(
     n: int,
     values: Floats,
@@ -188,7 +187,7 @@ def _go(
     node: int,
     p: int,
     own: Part,
-    rule: _Rule,
+    rule: Rule,
     long: bool,
     corners: Corners,
 ) -> tuple[bool, np.float32]:
@@ -199,21 +198,10 @@ def _go(
     base, away = np.int64(0), 0
     for k in range(n):
         cells = np.int64(ends[node, p, k])
-        lower, part = index[k] + (cells >> _BITS), cells & (PER_CELL - 1)
-        count, ahead = grid.counts[k], grid.strides[k]
         away += 1 if cells <= -PER_CELL or cells >= PER_CELL else 0
-        if grid.periodic[k]:
-            if lower < 0 or lower >= count:
-                lower %= count
-            if lower == count - 1:
-                ahead = -lower * grid.strides[k]
-        else:
-            if lower == -1 and part >= PER_CELL - _ROUNDED:
-                lower, part = np.int64(0), np.int64(0)
-            if lower == count - 1 and part <= _ROUNDED:
-                part = np.int64(0)
-            if lower < 0 or lower + (part > 0) >= count:
-                return True, np.float32(0.0)
+        lower, part, ahead = _lower_node(grid, k, index[k], cells)
+        if lower < 0:
+            return True, np.float32(0.0)
         corners.lower[k], corners.part[k] = lower, part
         base += lower * grid.strides[k]
         corners.sorted_ahead[k] = ahead if part > 0 else np.int64(0)
@@ -250,21 +238,9 @@ def _place(
     between, base = 0, np.int64(0)
     corners.size = 0
     for k in range(grid.n):
-        move = np.int64(ends[node, p, k])
-        lower, part = index[k] + (move >> _BITS), move & (PER_CELL - 1)
-        count, ahead = grid.counts[k], grid.strides[k]
-        if grid.periodic[k]:
-            if lower < 0 or lower >= count:
-                lower %= count
-            if lower == count - 1:
-                ahead = -lower * grid.strides[k]
-        else:
-            if lower == -1 and part >= PER_CELL - _ROUNDED:
-                lower, part = np.int64(0), np.int64(0)
-            if lower == count - 1 and part <= _ROUNDED:
-                part = np.int64(0)
-            if lower < 0 or lower + (part > 0) >= count:
-                return
+        lower, part, ahead = _lower_node(grid, k, index[k], np.int64(ends[node, p, k]))
+        if lower < 0:
+            return
         corners.lower[k], corners.part[k] = lower, part
         base += lower * grid.strides[k]
         if part > 0:
@@ -327,7 +303,7 @@ def _simplex(base: int, corners: Corners) -> int:
 
 @njit(**_INLINE)
 def _interpolate(
-    values: Floats, grid: Grid, corners: Corners, rule: _Rule, own: Part, long: bool, past: bool
+    values: Floats, grid: Grid, corners: Corners, rule: Rule, own: Part, long: bool, past: bool
 ) -> np.float32:
     """W at the end of a step, by the rule of `row_interpolation.interpolate_node`."""
     total, low, high = np.float32(0.0), np.float32(1.0), np.float32(0.0)

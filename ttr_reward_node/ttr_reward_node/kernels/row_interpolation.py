@@ -75,6 +75,21 @@ class RowRule(NamedTuple):
     length: int
 
 
+class Rule(NamedTuple):
+    """Interpolation of one sweep over single nodes, or over slabs.
+
+    Attributes:
+        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
+            as w = 0.
+        enough: Weight of the corners that must be reachable.
+        curved: Whether the curvature is added.
+    """
+
+    jump: np.float32
+    enough: np.float32
+    curved: bool
+
+
 class Part(NamedTuple):
     """Part of the grid that one thread sweeps. It reads the others' values as they were when the sweep began.
 
@@ -86,6 +101,31 @@ class Part(NamedTuple):
     begin: int
     end: int
     copy: int
+
+
+@njit(**_INLINE)
+def find_part(grid: Grid, nodes: int, part: int, parts: int) -> tuple[int, int, Part]:
+    """Return the stretch of the first axis that is part number `part` of `parts`, and the part of all the nodes."""
+    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
+    if parts == 1:
+        return first, until, Part(0, nodes, 0)
+    return first, until, Part(first * grid.strides[0], until * grid.strides[0], nodes)
+
+
+@njit(**_INLINE)
+def place_turn(grid: Grid, axes: int, turn: int, first: int, until: int, bits: int, index: Integers) -> int:
+    """Put the place of a turn of the sweep into `index` along the first `axes` axes; return the offset of its nodes.
+
+    Along the first axis it goes from `first` to `until`; bit k of `bits` says to go down axis k.
+    """
+    rest, offset = turn, 0
+    for k in range(axes - 1, -1, -1):
+        low, high = (first, until) if k == 0 else (0, grid.counts[k])
+        i = rest % (high - low)
+        rest //= high - low
+        index[k] = high - 1 - i if (bits >> k) & 1 else low + i
+        offset += index[k] * grid.strides[k]
+    return offset
 
 
 @njit(**_OPTIONS)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ttr_reward_node.kernels.row_interpolation import Part
+from ttr_reward_node.kernels.row_interpolation import Part, Rule
 from ttr_reward_node.kernels.slab_stencil import LEAST_PART, SlabStencil, fill_mask
 from ttr_reward_node.kernels.stencil import PER_CELL, Floats, Grid
 
@@ -19,21 +19,6 @@ _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
 _INLINE = {**_OPTIONS, "forceinline": True}
 _CELL = np.float32(1.0 / PER_CELL)
 _WHOLE = np.float32(0.9999)  # weight of the reachable corners from which on all are
-
-
-class SlabRule(NamedTuple):
-    """Interpolation of one sweep.
-
-    Attributes:
-        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
-            as w = 0.
-        enough: Weight of the corners that must be reachable.
-        curved: Whether the curvature is added.
-    """
-
-    jump: np.float32
-    enough: np.float32
-    curved: bool
 
 
 class SlabBuffers(NamedTuple):
@@ -62,7 +47,7 @@ def interpolate_slab(
     offset: int,
     own: Part,
     stencil: SlabStencil,
-    rule: SlabRule,
+    rule: Rule,
     work: SlabBuffers,
     smooth: bool,
     out: Floats,

@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, LOST, NEAR, PASSES_TARGET
-from ttr_reward_node.kernels.row_interpolation import Part
-from ttr_reward_node.kernels.slab_interpolation import SlabBuffers, SlabRule, interpolate_slab
+from ttr_reward_node.kernels.row_interpolation import Rule, find_part, place_turn
+from ttr_reward_node.kernels.slab_interpolation import SlabBuffers, interpolate_slab
 from ttr_reward_node.kernels.slab_stencil import SLAB_STENCIL, SlabStencil, place_slab
 from ttr_reward_node.kernels.stencil import PER_CELL, Floats, Grid, Integers, StepTable
 from ttr_reward_node.kernels.sweep import TINY, Nodes, SweepSettings, change_of
@@ -66,22 +66,13 @@ def sweep_slabs(
         np.zeros(size, np.float32),
     )
     quiet = np.float32(settings.quiet * settings.rate)
-    rule = SlabRule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
+    rule = Rule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
     grow = settings.curved or settings.jump == np.inf
     changed, seen, clocks, changed_in, reachable, open_ = history
-    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
-    own = Part(0, slabs * size, 0)
-    if parts > 1:
-        own = Part(first * grid.strides[0], until * grid.strides[0], slabs * size)
+    first, until, own = find_part(grid, slabs * size, part, parts)
     largest, done = np.float32(0.0), 0
     for turn in range((until - first) * grid.strides[0] // size):
-        rest, offset = turn, np.int64(0)
-        for k in range(grid.n_outer - 1, -1, -1):
-            low, high = (first, until) if k == 0 else (np.int64(0), grid.counts[k])
-            i = rest % (high - low)
-            rest //= high - low
-            index[k] = high - 1 - i if (bits >> k) & 1 else low + i
-            offset += index[k] * grid.strides[k]
+        offset = place_turn(grid, grid.n_outer, turn, first, until, bits, index)
         here = offset // size
         if open_[here] == 0:
             continue
@@ -126,9 +117,7 @@ def sweep_slabs(
 
 
 @njit(**_OPTIONS)
-def _apply_outcomes(
-    nodes: Nodes, grid: Grid, offset: int, stencils: NDArray[Any], rule: SlabRule, found: Floats
-) -> None:
+def _apply_outcomes(nodes: Nodes, grid: Grid, offset: int, stencils: NDArray[Any], rule: Rule, found: Floats) -> None:
     """Put in what target and obstacles make of the steps from the near nodes of the slab at `offset`."""
     values, flags, outcomes, row_near = nodes
     pairs, size = found.shape
@@ -152,7 +141,7 @@ def _apply_outcomes(
 
 
 @njit(**_OPTIONS)
-def _past(values: Floats, grid: Grid, offset: int, j: int, stencil: SlabStencil, rule: SlabRule) -> np.float32:
+def _past(values: Floats, grid: Grid, offset: int, j: int, stencil: SlabStencil, rule: Rule) -> np.float32:
     """Discounted w at the end of a step that passes by the target, whose nodes, the only ones with w = 1, do not count.
 
     Of node j of the slab at `offset`; 0 where the step leaves the grid.

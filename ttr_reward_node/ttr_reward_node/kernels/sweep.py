@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from ttr_reward_node.kernels.boundary_conditions import BLOCKED, FIXED, LOST, NEAR, PASSES_TARGET
 from ttr_reward_node.kernels.row_interpolation import (
     STENCIL,
-    Part,
     RowRule,
+    find_part,
     interpolate_node,
     interpolate_row,
     place_row,
+    place_turn,
 )
 from ttr_reward_node.kernels.stencil import (
     OFFSETS,
@@ -180,21 +181,12 @@ def sweep(
     game = _Game(steps.controls, settings.curved or settings.jump == np.inf)
     row_near = nodes.row_near
     changed, seen, clocks, changed_in = history
-    first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
-    own = Part(0, all_rows * last, 0)
-    if parts > 1:
-        own = Part(first * grid.strides[0], until * grid.strides[0], all_rows * last)
+    first, until, own = find_part(grid, all_rows * last, part, parts)
     per_first = slabs if grid.n_outer == 0 else slabs // grid.counts[0]
     largest, done = np.float32(0.0), 0
     for turn in range(per_first if grid.n_outer == 0 else per_first * (until - first)):
-        rest, offset = turn, 0
-        for k in range(grid.n_outer - 1, -1, -1):
-            low, high = (first, until) if k == 0 else (np.int64(0), grid.counts[k])
-            i = rest % (high - low)
-            rest //= high - low
-            index[k] = high - 1 - i if (bits >> k) & 1 else low + i
-            offset += index[k] * grid.strides[k]
-        slab, slab_offset = offset // inner_size, offset
+        slab_offset = place_turn(grid, grid.n_outer, turn, first, until, bits, index)
+        slab = slab_offset // inner_size
         for p in range(pairs):
             corners[p].number, curves[p].number = 0, 0
             if steps.codes[slab, p] > 0:
