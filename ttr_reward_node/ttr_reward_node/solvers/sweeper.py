@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +61,24 @@ def _has_short_rows(layout: Layout) -> bool:
 
 
 class _Sweeper:
-    """What the sweepers share: the nodes, and the steps between them."""
+    """What the sweepers share: the nodes, and the steps between them.
 
-    _nodes: Nodes
-    _table: StepTable
-    values: NDArray[np.float32]
-    _kept: tuple[NDArray[np.float32], NDArray[np.float32]]
+    With two parts each reads the other as it was before the sweep, however fast that one's thread is: the second half
+    of the arrays in `_doubled` is a copy of the first.
+    """
+
+    def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
+        self._grid, self._table, self._parts = grid, table, parts
+        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        self.values: NDArray[np.float32] = self._nodes.values[: near.values.size]
+        self._doubled: list[NDArray[Any]] = [self._nodes.values]
+
+    def _in_parts(self, kernel: Callable[[int, int], float]) -> float:
+        """Return the largest change [s] of the parts, each swept by `kernel(part, parts)`."""
+        if self._parts > 1:
+            for both in self._doubled:
+                both[len(both) // 2 :] = both[: len(both) // 2]
+        return float(max(share(kernel, self._parts)))
 
     def cheapen(self, power: float) -> None:
         self.values **= np.float32(power)
@@ -94,8 +107,7 @@ def cheapened(
 
 class _RowSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
-        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
-        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        super().__init__(grid, table, near, parts)
         rows = len(near.before_row) - 1
         self._history = RowHistory(
             np.zeros(rows, np.int64),
@@ -103,21 +115,12 @@ class _RowSweeper(_Sweeper):
             np.zeros(parts, np.int64),
             np.zeros(parts * rows, np.int64),
         )
-        self._rows = rows
-        self.values = self._nodes.values[: self._size]
+        self._doubled.append(self._history.changed_in)
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
         del in_phase
-        if self._parts > 1:  # each part reads the other as it is now, however fast that one's thread is
-            self._nodes.values[self._size :] = self.values
-            self._history.changed_in[self._rows :] = self._history.changed_in[: self._rows]
-        changes = share(
-            lambda part, parts: kernels().sweep(
-                self._nodes, self._grid, self._table, self._history, settings, part, parts
-            )[0],
-            self._parts,
-        )
-        return float(max(changes))
+        given = self._nodes, self._grid, self._table, self._history, settings
+        return self._in_parts(lambda part, parts: kernels().sweep(*given, part, parts)[0])
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         self._history.seen[:] = 0
@@ -126,8 +129,7 @@ class _RowSweeper(_Sweeper):
 
 class _SlabSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
-        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
-        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        super().__init__(grid, table, near, parts)
         self._slabs = slabs = len(table.codes)
         self._history = SlabHistory(
             np.zeros(slabs, np.int64),
@@ -137,22 +139,13 @@ class _SlabSweeper(_Sweeper):
             np.zeros(parts * slabs, np.int32),
             np.zeros(slabs, np.int32),
         )
-        self.values = self._nodes.values[: self._size]
+        self._doubled += [self._history.changed_in, self._history.reachable]
         self.restart()
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
         del in_phase
-        if self._parts > 1:  # each part reads the other as it is now, however fast that one's thread is
-            self._nodes.values[self._size :] = self.values
-            for copied in (self._history.changed_in, self._history.reachable):
-                copied[self._slabs :] = copied[: self._slabs]
-        changes = share(
-            lambda part, parts: kernels().sweep_slabs(
-                self._nodes, self._grid, self._table, self._history, settings, part, parts
-            )[0],
-            self._parts,
-        )
-        return float(max(changes))
+        given = self._nodes, self._grid, self._table, self._history, settings
+        return self._in_parts(lambda part, parts: kernels().sweep_slabs(*given, part, parts)[0])
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         self._history.seen[:] = 0
@@ -164,24 +157,16 @@ class _SlabSweeper(_Sweeper):
 
 class _NodeSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
-        self._grid, self._table, self._parts, self._size = grid, table, parts, near.values.size
-        self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
+        super().__init__(grid, table, near, parts)
         self._best = np.zeros(near.values.size, np.uint16)
         # With a disturbance, the best step is another one for each of its values.
         self._every = _FULL_EVERY if table.codes.shape[1] == table.controls else 1
-        self.values = self._nodes.values[: self._size]
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
         full = in_phase % self._every == 0
-        if self._parts > 1:
-            self._nodes.values[self._size :] = self.values
-        changes = share(
-            lambda part, parts: kernels().sweep_nodes(
-                self._nodes, self._grid, self._table, self._best, settings, full, part, parts
-            ),
-            self._parts,
-        )
-        return float(max(changes)) if full else math.nan
+        given = self._nodes, self._grid, self._table, self._best, settings, full
+        change = self._in_parts(lambda part, parts: kernels().sweep_nodes(*given, part, parts))
+        return change if full else math.nan
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         mark_lost(self._nodes.flags, lost)
