@@ -117,7 +117,7 @@ class Episode(Generic[Seen]):
 
 
 class Episodes(tuple[Episode[Seen], ...]):
-    """Episodes in the order of their seeds, and their facts as arrays of one element for each."""
+    """Episodes in seed order; each fact of theirs is an array with one element per episode."""
 
     __slots__ = ()
 

@@ -220,7 +220,7 @@ class LidarRobot(Commander):
         self.on_odometry(message, odometry)
 
     def hear_scan(self, message: LaserScan) -> None:
-        """Take a scan, and check it."""
+        """Read a scan, bring the checks up to date with it, and pass it on."""
         self.scans += 1
         self.note_input("scan")
         ranges, scan = read_scan(message, self.settings["lidar_yaw"])

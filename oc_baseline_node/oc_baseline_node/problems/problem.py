@@ -174,8 +174,8 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
     Args:
         task: Task with a part `optimal_control`; obstacles only in an arena.
         form: Form of the problem, one of `FORMS`.
-        clearance: Minimum distance d_min from obstacles [m]; by default the task's, but more than the body's radius,
-            because the body collides at less.
+        clearance: Minimum distance d_min from obstacles [m]; defaults to the task's, raised above the body's radius
+            where it is less, because the body collides there.
 
     Raises:
         OcError: The task lacks a part of the problem, or its terminal set is empty within the bounds.

@@ -226,7 +226,7 @@ class OptionCoordinator(SuiteNode):
         return timed
 
     def _on_message(self, read: Callable[[Any], Any], take: _Take, message: Any) -> None:
-        """Handle a message; count a refused one, and log it now and then."""
+        """Handle a message; count those refused, and log them at intervals."""
         try:
             content = read(message)
         except MessageError as error:
