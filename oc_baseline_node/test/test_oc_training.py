@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_learning.cli.evaluate import evaluate
 from ctrl_rl_learning.sb3 import algorithms
 from ctrl_rl_learning.study import RunOptions
 from ctrl_rl_learning.study import train as train_run
@@ -17,7 +18,7 @@ from oc_baseline_node.training.experiments.results import collect
 from oc_baseline_node.training.experiments.runs import OcRun, PaidTimeOut, oc_runs
 
 from ctrl_rl_core import ValueFunctionError, load_navigation_task, task_digest, task_file
-from oc_baseline_node import OcError, learning
+from oc_baseline_node import OcError
 from sim_bridge import NavigationEnv
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -69,7 +70,7 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
     )
-    assert learning.evaluate() == 0
+    assert evaluate() == 0
     assert "episodes   2 of quad_trap, from seed 0" in capsys.readouterr().out
 
 
