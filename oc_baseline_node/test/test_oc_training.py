@@ -1,14 +1,14 @@
 """Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
 
 import json
-import sys
+import subprocess
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_learning.cli.evaluate import evaluate
+from ament_index_python.packages import get_package_prefix
 from ctrl_rl_learning.sb3 import algorithms
 from ctrl_rl_learning.study import RunOptions
 from ctrl_rl_learning.study import train as train_run
@@ -48,7 +48,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(check_resuming, metho
     check_resuming(train_run, OcRun(TASK, method, 3), partial(RunOptions, **SHORT))
 
 
-def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
+def test_runs_become_a_table_and_pictures(tmp_path, capsys):
     runs = oc_runs(TASK, ("ppo", "oc_ppo", "entropy_0.05"), 2)
     assert [run.method_name for run in runs[:2]] == ["oc_ppo", "oc_ppo"]
     for run in runs:
@@ -67,11 +67,10 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
     assert {"quad_trap_oc_ablation.svg", "quad_trap_oc_advantages.svg", "quad_trap_oc_entropy.svg"} < {
         file.name for file in pictures.iterdir()
     }
-    monkeypatch.setattr(
-        sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
-    )
-    assert evaluate() == 0
-    assert "episodes   2 of quad_trap, from seed 0" in capsys.readouterr().out
+    evaluate = Path(get_package_prefix("ctrl_rl_learning")) / "lib" / "ctrl_rl_learning" / "evaluate"
+    policy = tmp_path / runs[0].name / "policy.safetensors"
+    answer = subprocess.run([evaluate, policy, "--episodes", "2"], capture_output=True, text=True, check=True)
+    assert "episodes   2 of quad_trap, from seed 0" in answer.stdout
 
 
 def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):
