@@ -308,7 +308,7 @@ def runs_here() -> Iterator[None]:
 @pytest.fixture
 def check_resuming(tmp_path: Path) -> Callable[..., Path]:
     """Give a function that checks that a run ends alike from what a kill after an iteration leaves, and where."""
-    from ctrl_rl_core.io.checked_json import read_json
+    from ctrl_rl_core.io import read_json
 
     def learnt(folder: Path) -> tuple[Any, bytes]:
         result = read_json(folder / "result.json")  # without its digest, which is of the times too

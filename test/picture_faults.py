@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ctrl_rl_core.plots.roles import FULL, HALF, SMALL
+from ctrl_rl_core.plots import SMALL
+from ctrl_rl_core.plots.roles import FULL, HALF
 from ctrl_rl_core.plots.words import covers, line_points
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

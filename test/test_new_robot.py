@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 from commands import check_refused, command
-from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors, task_content
-from ctrl_rl_navigation.driving.decision import Goal, NavigatorState
-from ctrl_rl_safety.filter.verdict import Reading
-from sim_bridge.fleet.planar_fleet import PlanarFleet
+from ctrl_rl_navigation.cli import task_content
+from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
+from ctrl_rl_navigation.driving import Goal
+from ctrl_rl_navigation.driving.decision import NavigatorState
 
 from ctrl_rl_core import (
     NavigationTask,
@@ -23,8 +23,8 @@ from ctrl_rl_core import (
     load_navigation_task,
     task_digest,
 )
-from ctrl_rl_safety import SafetyError, SafetyFilter, find_model
-from sim_bridge import ENGINES, SimulatedWorld, SimulationOptions
+from ctrl_rl_safety import Reading, SafetyError, SafetyFilter, find_model
+from sim_bridge import ENGINES, PlanarFleet, SimulatedWorld, SimulationOptions
 
 COURIER = """
 name: courier

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from ctrl_rl_core.systems.registry import find_model
 from ctrl_rl_learning.sb3 import FleetEnvironments, evaluate_in_fleet, extract_actor, make_algorithm
-from oc_baseline_node.problems.extraction import extract
-from ttr_reward_node.rewards.progress import TimeToReach
 
 from ctrl_rl_core import (
     SYSTEM_MODELS,
@@ -20,8 +18,9 @@ from ctrl_rl_core import (
     load_navigation_task,
     task_digest,
 )
+from oc_baseline_node import extract
 from sim_bridge import NavigationEnv, PlanarFleet, SimulationError, SimulationOptions
-from ttr_reward_node import problem_from_task, solve
+from ttr_reward_node import TimeToReach, problem_from_task, solve
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples" / "own_robot"
 

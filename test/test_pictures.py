@@ -111,7 +111,7 @@ def test_analyses(drawn, tmp_path, folder):
 
 
 def test_values(drawn, tmp_path):
-    from ttr_reward_node.plots.value_slices import draw_slices
+    from ttr_reward_node.plots import draw_slices
 
     task = load_navigation_task("car_ttr")
     axes = [Axis("x", "m", -5.0, 5.0, 21), Axis("y", "m", -5.0, 5.0, 21), Axis("theta", "rad", -np.pi, np.pi, 8, True)]
@@ -147,14 +147,10 @@ def test_cost_of_the_solver(drawn, tmp_path):
 
 
 def test_a_drive_and_a_team(drawn, tmp_path):
-    from ctrl_rl_bringup.corridor.plot import draw_drive
-    from ctrl_rl_bringup.corridor.report import DriveReport
     from ctrl_rl_bringup.corridor.surroundings import FilterRecord, MoverTrack
-    from ctrl_rl_bringup.team.plot import draw_team
-    from ctrl_rl_bringup.team.report import TeamRun
-    from ctrl_rl_bringup.team.run import TeamConfig
-    from option_coordinator.environments.option_env import Span
+    from option_coordinator.environments import Span
 
+    from ctrl_rl_bringup import DriveReport, TeamConfig, TeamRun, draw_drive, draw_team
     from option_coordinator import load_team
 
     times = np.linspace(0.0, 20.0, 101)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ctrl_rl_core.processes.ray_workers import map_in_ray
+from ctrl_rl_core.processes import map_in_ray
 from ctrl_rl_learning.study import RunOptions, run_experiments
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
 

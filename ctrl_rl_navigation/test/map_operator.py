@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rclpy
 import yaml
-from ctrl_rl_core.ros.node import LATCHED
+from ctrl_rl_core.ros import LATCHED
 from ctrl_rl_navigation.cli.simulation import TASK_NAME, task_content
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import COMMAND, SCAN_PUBLISHER, SENSOR
+from ctrl_rl_core.ros import SCAN_PUBLISHER
 from ctrl_rl_navigation.cli.simulation import TASK_NAME
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped, TwistStamped
@@ -16,6 +16,7 @@ from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
+from ctrl_rl_core import COMMAND, SENSOR
 from ctrl_rl_msgs.msg import NavigatorStatus
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("_no_shared_memory")]  # some are killed or frozen

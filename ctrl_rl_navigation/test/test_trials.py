@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.results import read_results
 from ctrl_rl_navigation.cli.trials import main
 
-from ctrl_rl_core import OccupancyMap
+from ctrl_rl_core import OccupancyMap, read_results
 
 
 @pytest.fixture

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, float32_array, to_stamp
+from ctrl_rl_core.ros import LATCHED, float32_array, to_stamp
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import LaserScan
 from visualization_msgs.msg import Marker
 
+from ctrl_rl_core import COMMAND
 from ctrl_rl_msgs.msg import SafetyStatus
 
 HALF = 0.7

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.results import read_results
 from ctrl_rl_safety.trials.command import main
 from ctrl_rl_safety.trials.episodes import filter_of
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TrialRobot
 from ctrl_rl_safety.trials.sources import Constant
 from ctrl_rl_safety.trials.worlds import room
 
-from ctrl_rl_core import drive
+from ctrl_rl_core import drive, read_results
 from ctrl_rl_safety import ROBOTS, FilterOptions
 from sim_bridge import SimulatedWorld, SimulationOptions
 

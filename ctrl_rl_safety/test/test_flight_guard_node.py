@@ -10,13 +10,12 @@ from typing import Any
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
-from ctrl_rl_core.ros.node import COMMAND, RESULT, SENSOR
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from room import shifted
 from std_srvs.srv import SetBool
 
-from ctrl_rl_core import load_navigation_task
+from ctrl_rl_core import COMMAND, RESULT, SENSOR, load_navigation_task
 from ctrl_rl_msgs.msg import EpisodeStatus, FlightStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
 from ctrl_rl_safety import quadrotor_of

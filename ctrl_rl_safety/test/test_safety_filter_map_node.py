@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import LATCHED
+from ctrl_rl_core.ros import LATCHED
 from nav_msgs.msg import OccupancyGrid
 from room import HALF, Room
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import float32_array
+from ctrl_rl_core.ros import float32_array
 from room import Room, shifted
 
 from ctrl_rl_msgs.msg import SafetyStatus

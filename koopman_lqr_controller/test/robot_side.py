@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.ros.node import SCAN_PUBLISHER, to_stamp
+from ctrl_rl_core.ros import SCAN_PUBLISHER, to_stamp
 from geometry_msgs.msg import Twist, TwistStamped
 from koopman_lqr_controller.models.encoder import Dense
 from nav_msgs.msg import Odometry

@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable
 
 import pytest
-from ctrl_rl_core.driving.arrival import ENDED, Arrival
+from ctrl_rl_core.driving import ENDED
+from ctrl_rl_core.driving.arrival import Arrival
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry

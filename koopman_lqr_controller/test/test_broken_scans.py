@@ -6,7 +6,7 @@ from itertools import count, islice
 
 import numpy as np
 import pytest
-from ctrl_rl_core.ros.node import SCAN_PUBLISHER, to_stamp
+from ctrl_rl_core.ros import SCAN_PUBLISHER, to_stamp
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from robot_side import PATIENCE_S, Robot, answered, ask, corridor

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.ros.node import to_stamp
+from ctrl_rl_core.ros import to_stamp
 from nav_msgs.msg import Odometry
 from robot_side import PATIENCE_S, Robot, a_policy, answered, ask, corridor
 from sensor_msgs.msg import LaserScan

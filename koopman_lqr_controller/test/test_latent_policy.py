@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from koopman_lqr_controller.models.encoder import Dense, LayerNorm

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ctrl_rl_core.io.checked_json import read_json
+from ctrl_rl_core.io import read_json
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, train
 from koopman_lqr_controller.data.roll_outs import evaluate

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
+from ctrl_rl_core.io import encode_tensors, read_tensors
 
 from koopman_lqr_controller import KoopmanError, find_policy, load_policy
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from _attack import Attack
-from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import ScanLayout, whole_episodes
+from ctrl_rl_bags.datasets import Found, ScanLayout, extract, find_layout, whole_episodes
 from ctrl_rl_bags.datasets.options import ExtractionOptions
 from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE, MessageMaker
 

@@ -19,17 +19,18 @@ import _mutations
 import numpy as np
 from _attack import Attack
 from _mutations import Mutate, broken
-from ctrl_rl_core.io.results_page import benchmark_lines, results_page
+from ctrl_rl_core.io.results_page import benchmark_lines
 from ctrl_rl_core.tasks.task import FOLDER
-from ctrl_rl_core.values.value_grid import Axis
 
 from ctrl_rl_core import (
+    Axis,
     CtrlRlError,
     Result,
     ValueGrid,
     load_navigation_task,
     load_task,
     read_benchmarks,
+    results_page,
     task_names,
     write_results,
 )
@@ -133,15 +134,14 @@ def _copy(file: Path, folder: Path) -> Path:
 
 
 def _koopman(name: str) -> Callable[[Path], list[Path]]:
-    from koopman_lqr_controller.policies.policy_file import find_policy
+    from koopman_lqr_controller import find_policy
 
     return lambda folder: [_copy(find_policy(name), folder)]
 
 
 def _load_koopman(path: Path) -> None:
-    from koopman_lqr_controller.policies.policy_file import load_policy
-
     from ctrl_rl_core import ScanGeometry
+    from koopman_lqr_controller import load_policy
 
     policy = load_policy(path)
     scan = ScanGeometry(360, 0.0, np.pi / 180, 0.12, 3.5)
@@ -150,31 +150,31 @@ def _load_koopman(path: Path) -> None:
 
 
 def _options(folder: Path) -> list[Path]:
-    from option_coordinator.policies.policy_file import policy_file
+    from option_coordinator import policy_file
 
     return [_copy(policy_file("delivery_team"), folder)]
 
 
 def _load_options(path: Path) -> None:
-    from option_coordinator.policies.policy_file import OptionPolicy
+    from option_coordinator import OptionPolicy
 
     OptionPolicy.load(path)
 
 
 def _values(folder: Path) -> list[Path]:
-    from oc_baseline_node.values.value_file import shipped_values
+    from oc_baseline_node import shipped_values
 
     return [_copy(file, folder) for file in shipped_values().values()]
 
 
 def _load_value(path: Path) -> None:
-    from oc_baseline_node.values.value_file import load_value
+    from oc_baseline_node import load_value
 
     load_value(path).value(np.zeros(len(load_value(path).state_names)))
 
 
 def _decomposed(folder: Path) -> list[Path]:
-    from ttr_reward_node.values.decomposed_value import DecomposedValue
+    from ttr_reward_node import DecomposedValue
 
     axes = (Axis("x", "m", 0.0, 1.0, 3), Axis("y", "m", 0.0, 1.0, 4))
     grids = [
@@ -185,15 +185,17 @@ def _decomposed(folder: Path) -> list[Path]:
 
 
 def _load_decomposed(path: Path) -> None:
-    from ttr_reward_node.values.value_file import load_value
+    from ttr_reward_node import load_value
 
     value = load_value(path)
     value.value(np.zeros(len(value.state_names)))
 
 
 def _value_data(folder: Path) -> list[Path]:
-    from ctrl_rl_core.io.checked_json import with_digest
-    from oc_baseline_node.value_data.dataset import DataSettings, ValueData, chunk_file, description, write_chunk
+    from ctrl_rl_core.io import with_digest
+    from oc_baseline_node.value_data.dataset import chunk_file, description, write_chunk
+
+    from oc_baseline_node import DataSettings, ValueData
 
     problem, random = _problem(), np.random.default_rng(0)
     (folder / "settings.json").write_text(json.dumps(with_digest(description(problem, DataSettings(2)))))
@@ -212,7 +214,7 @@ def _value_data(folder: Path) -> list[Path]:
 
 
 def _load_value_data(path: Path) -> None:
-    from oc_baseline_node.value_data.dataset import load_data
+    from oc_baseline_node import load_data
 
     load_data(path.parent, _problem())
 
@@ -223,7 +225,7 @@ def _load_settings(path: Path) -> None:
 
 @cache
 def _problem() -> Any:
-    from oc_baseline_node.problems.problem import formulate
+    from oc_baseline_node import formulate
 
     return formulate(load_navigation_task("car_navigation"))
 
@@ -235,7 +237,9 @@ def _teams(folder: Path) -> list[Path]:
 
 
 def _load_team(path: Path) -> None:
-    from option_coordinator.teams.team_file import is_team, load_team
+    from option_coordinator.teams.team_file import is_team
+
+    from option_coordinator import load_team
 
     is_team(str(path))
     load_team(str(path))

@@ -97,7 +97,7 @@ def against_a_controller(random: np.random.Generator, folder: Path) -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     import rclpy
     from ament_index_python.packages import get_package_prefix
-    from ctrl_rl_core.ros.node import SCAN_PUBLISHER, float32_array, to_stamp
+    from ctrl_rl_core.ros import SCAN_PUBLISHER, float32_array, to_stamp
     from geometry_msgs.msg import TwistStamped
     from nav_msgs.msg import Odometry
     from rclpy.node import Node

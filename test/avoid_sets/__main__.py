@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.io.results import Result, write_results
 from tqdm import tqdm
 from ttr_reward_node.verification.safety_cases import SafetyCase, air3d, double_integrator, pursuit
 
-from ctrl_rl_core import parse_options
+from ctrl_rl_core import Result, parse_options, write_results
 from ttr_reward_node import SafetySolver
 
 ACCURACIES = {"very_high": "hj_reachability WENO5", "low": "hj_reachability first order"}

@@ -19,9 +19,8 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from ctrl_rl_bags.datasets import Found, Frames, ScanLayout, extract, find_layout, whole_episodes
 from ctrl_rl_bags.datasets.conversion import read_dataset
-from ctrl_rl_bags.datasets.extraction import Found, extract, find_layout
-from ctrl_rl_bags.datasets.frames import Frames, ScanLayout, whole_episodes
 from ctrl_rl_bags.datasets.options import ExtractionOptions
 from ctrl_rl_bags.datasets.rebuilding import (
     EPISODE_TYPE,

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from ctrl_rl_core.ros.node import SCAN_PUBLISHER, float32_array, to_stamp
+from ctrl_rl_core.ros import SCAN_PUBLISHER, float32_array, to_stamp
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node

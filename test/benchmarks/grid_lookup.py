@@ -7,10 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 from _common import Row, row
-from ctrl_rl_core.values.value_grid import Axis
 from scipy.interpolate import RegularGridInterpolator
 
-from ctrl_rl_core import ValueGrid
+from ctrl_rl_core import Axis, ValueGrid
 
 STATES = 200_000
 SINGLES = 20_000

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.training.heads.heads import as_numpy, make_head
 
 from ctrl_rl_core import read_benchmarks
-from option_coordinator import Agent, OptionPolicy, learned_policy_fn
+from option_coordinator import Agent, OptionPolicy, PolicyQuery, learned_policy_fn
 
 ROBOTS = (2, 5, 10, 20, 50, 100, 150, 200, 300)
 OPTIONS = 6

@@ -23,16 +23,17 @@ import numpy as np
 import rclpy
 from _common import Row, executable
 from control_latency import compare
-from ctrl_rl_bringup.runner.stack import DriveConfig, NodeSpec, policy_nodes, simulator
+from ctrl_rl_bringup.runner.stack import NodeSpec, policy_nodes, simulator
 from ctrl_rl_bringup.transfer.table import play_episode
 from ctrl_rl_core.command import OptionalFileToWrite, make_command, some_of
-from ctrl_rl_core.io.results import read_experiment
+from ctrl_rl_core.io import read_experiment
 from geometry_msgs.msg import TwistStamped
 from rclpy.client import Client
 from rclpy.time import Time
 from sensor_msgs.msg import LaserScan
 from std_srvs.srv import SetBool
 
+from ctrl_rl_bringup import DriveConfig
 from ctrl_rl_core import (
     COMMAND,
     RESULT,

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.navigation.occupancy_map import OCCUPIED, OccupancyMap
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array
-from ctrl_rl_core.sensing.pose import read_planar_pose
+from ctrl_rl_core.navigation import OCCUPIED
+from ctrl_rl_core.ros import LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array
 from geometry_msgs.msg import TransformStamped, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import ExternalShutdownException
@@ -25,6 +24,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import BatteryState, LaserScan
 from tf2_msgs.msg import TFMessage
+
+from ctrl_rl_core import COMMAND, OccupancyMap, read_planar_pose
 
 TOPICS = ("scan", "odom", "cmd_vel", "tf", "tf_static")
 _CELL = 0.05

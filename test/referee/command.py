@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import EXIT_USAGE
-from ctrl_rl_core.io.results import Result, write_results
 from tqdm import tqdm
 
-from ctrl_rl_core import parse_options
+from ctrl_rl_core import Result, parse_options, write_results
 from referee.families import FAMILIES, draw, family_of
 from referee.judge import Verdict, judge
 from ttr_reward_node import DoubtfulValueWarning, solve

@@ -22,12 +22,11 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from ctrl_rl_core.command import OptionalFileToWrite, Positive
-from ctrl_rl_core.io.results import Result, write_results
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
-from ctrl_rl_core import COMMAND, SENSOR, parse_options, run_command
+from ctrl_rl_core import COMMAND, SENSOR, Result, parse_options, run_command, write_results
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent / "benchmarks"), str(HERE.parents[1] / "scripts" / "reference")]

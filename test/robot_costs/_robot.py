@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 import rclpy
-from ctrl_rl_core.ros.node import SCAN_PUBLISHER, float32_array
+from ctrl_rl_core.ros import SCAN_PUBLISHER, float32_array
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 from _systems import GRIDS, problem_of
-from ctrl_rl_core.io.results import Result, add_results
+from ctrl_rl_core.io import add_results
 from tqdm import tqdm
 
-from ctrl_rl_core import parse_options
+from ctrl_rl_core import Result, parse_options
 from ttr_reward_node import solve
 
 PEERS = "car", "pendulum pair"

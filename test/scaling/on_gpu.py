@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import warp
 from _systems import problem_of
-from ctrl_rl_core.io.results import Result, add_results
+from ctrl_rl_core.io import add_results
 
-from ctrl_rl_core import parse_options
+from ctrl_rl_core import Result, parse_options
 from ttr_reward_node import solve
 
 GRIDS = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ttr_reward_node.verification.dubins import to_box

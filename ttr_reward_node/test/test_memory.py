@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from ctrl_rl_core.io.file_checks import available_memory
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 from ttr_reward_node.kernels.entry_points import KERNEL_FILES

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from ctrl_rl_core.ros.node import LATCHED, ODOM_PUBLISHER, to_stamp
+from ctrl_rl_core.ros import LATCHED, ODOM_PUBLISHER, to_stamp
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks.schema.parts import RewardSpec
+from ctrl_rl_core.tasks import RewardSpec
 from ctrl_rl_core.tasks.schema.world import RegionSpec
 from hypothesis import given
 from hypothesis import strategies as st

@@ -15,12 +15,12 @@ import numpy as np
 import rclpy
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.processes.children import start_child
-from ctrl_rl_core.ros.node import LATCHED, RESULT, SENSOR, seconds
+from ctrl_rl_core.processes import start_child
+from ctrl_rl_core.ros import LATCHED, seconds
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
-from ctrl_rl_core import OccupancyMap, find_robot, read_planar_pose
+from ctrl_rl_core import RESULT, SENSOR, OccupancyMap, find_robot, read_planar_pose
 from ctrl_rl_msgs.msg import EpisodeStatus, NavigatorStatus
 from ctrl_rl_navigation.cli.goals import GoalMaker, Trial
 from ctrl_rl_navigation.cli.outcome import Options, Outcome

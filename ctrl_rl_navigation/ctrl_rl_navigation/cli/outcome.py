@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ctrl_rl_core.command import FolderToWrite, NotNegative, OptionalFileToWrite, Positive
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.robots import DEFAULT_ROBOT
 
 from ctrl_rl_navigation.cli.goals import Trial
 from ctrl_rl_navigation.cli.simulation import Drive

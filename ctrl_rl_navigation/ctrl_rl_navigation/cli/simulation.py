@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.navigation.transform_tree import Transform
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.robots import DEFAULT_ROBOT
 from numpy.typing import ArrayLike, NDArray
 from sim_bridge.simulation.odometry import Localiser, correction
 

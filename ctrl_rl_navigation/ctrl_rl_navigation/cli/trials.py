@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
+from ctrl_rl_core.io import add_results
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, add_results
 
-from ctrl_rl_core import OccupancyMap, find_robot
+from ctrl_rl_core import OccupancyMap, Result, find_robot
 from ctrl_rl_navigation.cli.goals import GoalMaker
 from ctrl_rl_navigation.cli.nodes import drive_through_nodes
 from ctrl_rl_navigation.cli.outcome import Options, Outcome

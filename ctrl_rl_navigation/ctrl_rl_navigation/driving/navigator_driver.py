@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 from ctrl_rl_core.navigation.transform_tree import Transform
-from ctrl_rl_core.sensing.pose import planar
-from ctrl_rl_core.sensing.scan import ScanError, view_scan
+from ctrl_rl_core.sensing import planar, view_scan
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Sensors
+from ctrl_rl_core import ScanError, Sensors
 from ctrl_rl_navigation.driving.decision import Decision, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
 

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.navigation.occupancy_map import FREE, OCCUPIED
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.navigation import FREE, OCCUPIED
+from ctrl_rl_core.values import cached_njit
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import ClassVar
 
-from ctrl_rl_core.ros.node import LATCHED, Status, ok
+from ctrl_rl_core.ros import LATCHED, Status, ok
 from nav_msgs.msg import OccupancyGrid
 
 from ctrl_rl_core import OccupancyMap, Parameter, ParameterError, SuiteNode, run_node

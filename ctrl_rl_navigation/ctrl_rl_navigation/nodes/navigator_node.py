@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
-from ctrl_rl_core.policies.pose_input import PoseInput
-from ctrl_rl_core.ros.node import LATCHED, Status, nanoseconds, ok, warn
-from ctrl_rl_core.ros.value_messages import answer
-from ctrl_rl_core.sensing.odometry import ODOMETRY_NAMES
+from ctrl_rl_core.policies import PoseInput
+from ctrl_rl_core.ros import LATCHED, Status, answer, nanoseconds, ok, warn
+from ctrl_rl_core.sensing import ODOMETRY_NAMES
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray

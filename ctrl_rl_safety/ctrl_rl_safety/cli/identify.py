@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from ctrl_rl_bags.datasets.options import print_note
+from ctrl_rl_bags.datasets import print_note
 from ctrl_rl_core.command import FileToWrite, FiniteNumber, make_command
 
 from ctrl_rl_safety.errors import SafetyError

@@ -11,7 +11,7 @@ import math
 from collections import deque
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

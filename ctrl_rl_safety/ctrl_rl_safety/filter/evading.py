@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numba import njit
 
 from ctrl_rl_safety.filter.certificate import Situation, certify, hold

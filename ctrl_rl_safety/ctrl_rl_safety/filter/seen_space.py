@@ -10,8 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanGeometry, nearest_beams
+from ctrl_rl_core.sensing import DIRECTIONS, nearest_beams
 from numpy.typing import NDArray
+
+from ctrl_rl_core import ScanGeometry
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.sensing.pose import planar
-from ctrl_rl_core.sensing.scan import view_scan
+from ctrl_rl_core.sensing import planar, view_scan
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Sensors

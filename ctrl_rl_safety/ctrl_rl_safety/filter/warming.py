@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ctrl_rl_core.sensing.scan import DIRECTIONS
+from ctrl_rl_core.sensing import DIRECTIONS
 
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.seen_space import Sight

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_bags.alignment.clocks import Tell, warn
+from ctrl_rl_bags.alignment import warn
+from ctrl_rl_bags.alignment.clocks import Tell
 from ctrl_rl_bags.alignment.resampling import Method
 from ctrl_rl_core.sensing.odometry_health import contradiction
 from numpy.typing import NDArray

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.errors import SafetyError

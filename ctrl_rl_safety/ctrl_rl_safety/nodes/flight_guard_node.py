@@ -11,13 +11,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 from ctrl_rl_core.driving.command_output import ThrustOutput
-from ctrl_rl_core.ros.node import COMMAND, RESULT, SENSOR, Status, ok, to_stamp, warn
-from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader, read_odometry
+from ctrl_rl_core.ros import Status, ok, to_stamp, warn
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 
-from ctrl_rl_core import Parameter, ParameterError, SuiteNode, load_navigation_task, run_node
+from ctrl_rl_core import (
+    COMMAND,
+    RESULT,
+    SENSOR,
+    OdometryError,
+    OdometryReader,
+    Parameter,
+    ParameterError,
+    SuiteNode,
+    load_navigation_task,
+    read_odometry,
+    run_node,
+)
 from ctrl_rl_msgs.msg import FlightStatus, RotorThrusts
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.flight.flight_guard import FlightGuard, FlightOptions

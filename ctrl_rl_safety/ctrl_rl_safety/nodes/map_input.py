@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 from ctrl_rl_core.navigation.transform_tree import TransformError
-from ctrl_rl_core.policies.pose_input import PoseInput
-from ctrl_rl_core.ros.node import LATCHED
+from ctrl_rl_core.policies import PoseInput
+from ctrl_rl_core.ros import LATCHED
 from nav_msgs.msg import OccupancyGrid, Odometry
 from numpy.typing import NDArray
 

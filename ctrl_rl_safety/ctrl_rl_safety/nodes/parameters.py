@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS
+from ctrl_rl_core.policies import POSE_PARAMETERS
 
 from ctrl_rl_core import SCAN_PARAMETERS, Parameter
 from ctrl_rl_safety.filter.verdict import FilterOptions

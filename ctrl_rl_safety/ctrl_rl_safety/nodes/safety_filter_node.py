@@ -12,7 +12,7 @@ import numpy as np
 from builtin_interfaces.msg import Time as Stamp
 from ctrl_rl_core.navigation.transform_tree import TransformError
 from ctrl_rl_core.processes.background import Job, start_job
-from ctrl_rl_core.ros.node import COMMAND, LATCHED, RESULT, Status, to_stamp, warn
+from ctrl_rl_core.ros import LATCHED, Status, to_stamp, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import LaserScan
 from visualization_msgs.msg import Marker
 
-from ctrl_rl_core import LidarRobot, Parameter, RobotNode, ScanGeometry, VelocityError, run_node
+from ctrl_rl_core import COMMAND, RESULT, LidarRobot, Parameter, RobotNode, ScanGeometry, VelocityError, run_node
 from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter

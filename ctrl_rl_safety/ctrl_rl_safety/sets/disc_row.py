@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.models.robot_model import RobotModel

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.sensing.scan import nearest_beams
+from ctrl_rl_core.sensing import nearest_beams
 from ctrl_rl_learning.sb3 import Environment, ScaledObservation, Vector
 from gymnasium import spaces
 

@@ -18,12 +18,12 @@ from ctrl_rl_core.command import (
     run_command,
     some_of,
 )
+from ctrl_rl_core.io import add_results
 from ctrl_rl_core.io.outcome_log import OutcomeLog
-from ctrl_rl_core.io.results import Result, add_results
-from ctrl_rl_core.policies.policy import shipped_policies
+from ctrl_rl_core.policies import shipped_policies
 from tqdm import tqdm
 
-from ctrl_rl_core import load_navigation_task
+from ctrl_rl_core import Result, load_navigation_task
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.trials.episodes import ADVERSARIES, GUARDS, UNGUARDED, Cell, Player, TrialOutcome, task_of
 from ctrl_rl_safety.trials.flights import FlightPlayer

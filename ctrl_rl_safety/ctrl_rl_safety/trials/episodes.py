@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sim_bridge.simulation.occupancy import draw_map
+from sim_bridge.simulation import draw_map
 
 from ctrl_rl_core import (
     Driver,

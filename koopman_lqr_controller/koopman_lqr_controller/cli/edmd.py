@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_bags.datasets.options import check_task
+from ctrl_rl_bags.datasets import check_task
 from ctrl_rl_core.command import make_command
 
 from ctrl_rl_bags import bag_info

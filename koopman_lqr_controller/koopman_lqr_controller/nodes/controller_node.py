@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.ros.node import seconds
+from ctrl_rl_core.ros import seconds
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 

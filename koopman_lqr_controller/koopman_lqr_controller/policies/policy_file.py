@@ -9,8 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import LARGEST, Tensors, encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, raise_as, read_bytes, short_path, short_repr
+from ctrl_rl_core.io import (
+    FileError,
+    Tensors,
+    encode_tensors,
+    raise_as,
+    read_bytes,
+    read_tensors,
+    short_path,
+    short_repr,
+)
+from ctrl_rl_core.io.checked_tensors import LARGEST
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write

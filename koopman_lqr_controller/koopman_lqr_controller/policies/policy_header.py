@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from ctrl_rl_core.io.checked_tensors import Tensors
-from ctrl_rl_core.io.schema import Name, Positive, Schema
+from ctrl_rl_core.io import Name, Positive, Schema, Tensors
 from pydantic import ConfigDict, Field, model_validator
 
 from koopman_lqr_controller.safety.latent_distribution import LatentDistribution

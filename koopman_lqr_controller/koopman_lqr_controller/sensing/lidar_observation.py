@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.robots import DEFAULT_ROBOT
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanGeometry, Sectors, find_robot

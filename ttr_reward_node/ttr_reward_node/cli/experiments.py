@@ -13,10 +13,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import make_command
-from ctrl_rl_core.io.results import Result, write_results
-from ctrl_rl_core.tasks.task import load_navigation_task
 from tqdm import tqdm
 
+from ctrl_rl_core import Result, load_navigation_task, write_results
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.from_task import problem_from_task
 from ttr_reward_node.solvers.decomposition import DECOMPOSITIONS

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from ctrl_rl_bags.datasets.options import check_task, print_note
+from ctrl_rl_bags.datasets import check_task, print_note
 from ctrl_rl_core.command import (
     FiniteNumber,
     NotNegative,
@@ -21,12 +21,10 @@ from ctrl_rl_core.command import (
     name_and_value,
     one_of,
 )
-from ctrl_rl_core.tasks.task import load_navigation_task
-from ctrl_rl_core.values.value_grid import ValueGrid
 from tqdm import tqdm
 
 from ctrl_rl_bags import bag_info
-from ctrl_rl_core import task_digest
+from ctrl_rl_core import ValueGrid, load_navigation_task, task_digest
 from ttr_reward_node.certificates.certificate import Certificate
 from ttr_reward_node.cli.safe_sets import solve_and_save
 from ttr_reward_node.errors import DoubtfulValueWarning, TimeToReachError

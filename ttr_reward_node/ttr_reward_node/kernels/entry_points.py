@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 
 from ttr_reward_node.kernels import (
     boundary_conditions,

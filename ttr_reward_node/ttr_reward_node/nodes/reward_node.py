@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.value_server import Valued
+from ctrl_rl_core.ros import Valued
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_core.plots import draw_values, draw_world, name_axes, named_value, picture
-from ctrl_rl_core.tasks.regions import ANGLES
-from ctrl_rl_core.values.plane import plane_of
+from ctrl_rl_core.tasks import ANGLES
+from ctrl_rl_core.values import plane_of
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, ValueFunction

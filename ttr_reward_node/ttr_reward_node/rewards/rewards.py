@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import ANGLES, wrap
-from ctrl_rl_core.values.value_function import check_function
+from ctrl_rl_core.tasks import ANGLES, wrap
+from ctrl_rl_core.values import check_function
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import NavigationTask, Outcome, Region, TaskSets, ValueFunction, position_indices, terminal_reward

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems.models import Dynamics, Equations
+from ctrl_rl_core.systems import Dynamics
+from ctrl_rl_core.systems.models import Equations
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Disc, Interval, NavigationTask, Quantity, Region, System, position_indices

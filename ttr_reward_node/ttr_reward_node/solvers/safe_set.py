@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from ctrl_rl_core.tasks.regions import ANGLES
+from ctrl_rl_core.tasks import ANGLES
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ValueGrid, position_indices

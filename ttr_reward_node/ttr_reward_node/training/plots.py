@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from ctrl_rl_core.io.schema import Schema
+from ctrl_rl_core.io import Schema
 from ctrl_rl_core.plots import (
     GOAL,
     Panel,
@@ -22,7 +22,7 @@ from ctrl_rl_core.plots import (
     picture,
     style_of,
 )
-from ctrl_rl_core.tasks.regions import ANGLES
+from ctrl_rl_core.tasks import ANGLES
 from ctrl_rl_learning.study import DrivenPath, Figures, SuccessCurve
 from pydantic import Field, model_validator
 

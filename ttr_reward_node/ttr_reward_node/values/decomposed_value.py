@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from ctrl_rl_core.io.checked_tensors import encode_tensors, read_tensors
-from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
-from ctrl_rl_core.io.schema import Name, Schema
-from ctrl_rl_core.values.grid_file import AxisHeader, GridText, write
+from ctrl_rl_core.io import FileError, Name, Schema, encode_tensors, raise_as, read_tensors, short_repr
+from ctrl_rl_core.values import AxisHeader
+from ctrl_rl_core.values.grid_file import GridText, write
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 

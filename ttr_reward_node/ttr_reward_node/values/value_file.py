@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from os import PathLike
 
-from ctrl_rl_core.io.checked_tensors import kind_of
-from ctrl_rl_core.io.file_checks import raise_as
+from ctrl_rl_core.io import kind_of, raise_as
 
 from ctrl_rl_core import GridError, ValueGrid
 from ttr_reward_node.values.decomposed_value import HEADER_KEY, DecomposedValue

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.values.value_function import check_function
+from ctrl_rl_core.values import check_function
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, ValueFunction, World, load_navigation_task, position_indices

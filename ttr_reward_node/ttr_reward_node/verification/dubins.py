@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 from numpy.typing import NDArray
 
 from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, word

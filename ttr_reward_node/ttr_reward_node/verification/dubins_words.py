@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.values.jit_cache import cached_njit
+from ctrl_rl_core.values import cached_njit
 
 LSL, RSR, LSR, RSL, RLR, LRL = range(6)
 TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])

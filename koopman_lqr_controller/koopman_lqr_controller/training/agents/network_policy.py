@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import FileError, raise_as, short_repr
-from ctrl_rl_core.io.schema import Anything, Schema
+from ctrl_rl_core.io import Anything, FileError, Schema, raise_as, short_repr
 from ctrl_rl_learning.torch import load_arrays, save_arrays
 
 from koopman_lqr_controller.arrays import Array

@@ -16,9 +16,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.robots.robot import DEFAULT_ROBOT
+from ctrl_rl_core.robots import DEFAULT_ROBOT
+from ctrl_rl_core.tasks import PathCoordinates
 from ctrl_rl_core.tasks.schema.world import CorridorSpec
-from ctrl_rl_core.tasks.task_sets import PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray
 

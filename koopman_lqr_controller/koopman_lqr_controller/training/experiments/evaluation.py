@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_learning.cli import EvaluateOptions, report
 
+from ctrl_rl_core import Outcome
 from koopman_lqr_controller.control.latent_controller import LatentController
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from ctrl_rl_core.io.results import read_experiment
-from ctrl_rl_core.io.schema import Name, Schema
+from ctrl_rl_core.io import Name, Schema, read_experiment
 from ctrl_rl_learning.study import Figures, ValueCurve, read_figures
 from pydantic import Field, model_validator
 

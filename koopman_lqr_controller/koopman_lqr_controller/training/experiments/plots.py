@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import short_repr
-from ctrl_rl_core.io.schema import Name
+from ctrl_rl_core.io import Name, short_repr
 from ctrl_rl_core.plots import MOST_LINES, RETURN, Line, Panel, best_of, draw_learning, line_of
 from ctrl_rl_learning.study import Figures, Seeds, ValueCurve, read_figures
 from pydantic import Field, model_validator

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from ctrl_rl_core.io.schema import Schema
+from ctrl_rl_core.io import Schema
 from ctrl_rl_learning.study import IterationMetrics, ProgressCallback, RunOptions
 from ctrl_rl_learning.torch import Arrays, load_arrays, save_arrays
 from pydantic import ConfigDict, Field
