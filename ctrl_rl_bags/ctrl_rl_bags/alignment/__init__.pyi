@@ -1,1 +1,2 @@
+from .clocks import Tell as Tell
 from .clocks import warn as warn

@@ -1,4 +1,6 @@
+from .conversion import export_bags as export_bags
 from .conversion import find_bag as find_bag
+from .conversion import read_dataset as read_dataset
 from .episodes import EpisodeFrames as EpisodeFrames
 from .episodes import Step as Step
 from .extraction import Found as Found
@@ -15,9 +17,14 @@ from .frames import SCAN as SCAN
 from .frames import Frames as Frames
 from .frames import Layout as Layout
 from .frames import ScanLayout as ScanLayout
+from .frames import states_of as states_of
+from .frames import times_of as times_of
 from .frames import whole_episodes as whole_episodes
+from .options import DriveOptions as DriveOptions
+from .options import ExtractionOptions as ExtractionOptions
 from .options import TaskDriveOptions as TaskDriveOptions
 from .options import check_task as check_task
 from .options import print_note as print_note
 from .readings import no_goal as no_goal
 from .rebuilding import DriveWriter as DriveWriter
+from .rebuilding import MessageMaker as MessageMaker

@@ -1,4 +1,4 @@
-"""The base of every node that drives a robot: scan checks, obstacle stop, watchdog."""
+"""Base classes of nodes that drive a robot: scan checks, obstacle stop, watchdog."""
 
 import lazy_loader as lazy
 

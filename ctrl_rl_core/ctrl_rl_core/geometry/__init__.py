@@ -1,4 +1,4 @@
-"""Plane geometry, quantities with units, and poses from odometry."""
+"""Plane geometry, quantities with units, and motions along curves."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Files: checked reading, atomic writing, results."""
+"""Files: validated reading, atomic writing, results."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Learnt policies as a robot runs them: their interface, observation and files."""
+"""Learnt policies as they run on a robot: interface, observation and files."""
 
 import lazy_loader as lazy
 

@@ -1,3 +1,4 @@
+from .actor_policy import policy_of as policy_of
 from .manifest import ScanPart as ScanPart
 from .observation import ObservationBuilder as ObservationBuilder
 from .policy import policy_digest as policy_digest

@@ -1,4 +1,4 @@
-"""The base of every node: parameters, executor, signals, diagnostics, and serving of values."""
+"""Base class of all nodes: parameters, executor, signals, diagnostics, and value servers."""
 
 import lazy_loader as lazy
 

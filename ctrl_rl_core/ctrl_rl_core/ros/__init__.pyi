@@ -1,3 +1,4 @@
+from .node import DIAGNOSTICS as DIAGNOSTICS
 from .node import LATCHED as LATCHED
 from .node import ODOM_PUBLISHER as ODOM_PUBLISHER
 from .node import SCAN_PUBLISHER as SCAN_PUBLISHER
@@ -9,6 +10,8 @@ from .node import seconds as seconds
 from .node import to_stamp as to_stamp
 from .node import warn as warn
 from .parameters import of_robot as of_robot
+from .parameters import robot_parameter as robot_parameter
 from .running import initialise as initialise
 from .value_messages import answer as answer
+from .value_messages import as_percent as as_percent
 from .value_server import Valued as Valued

@@ -2,6 +2,7 @@ from .regions import ANGLES as ANGLES
 from .regions import wrap as wrap
 from .regions import wrap_one as wrap_one
 from .rewards import tilt_reward as tilt_reward
+from .schema.movers import MoverSpec as MoverSpec
 from .schema.optimal_control import GridSpec as GridSpec
 from .schema.optimal_control import OptimalControlSpec as OptimalControlSpec
 from .schema.parts import Part as Part
@@ -13,7 +14,10 @@ from .schema.randomisation import CONDITIONS as CONDITIONS
 from .schema.robot import MODEL as MODEL
 from .schema.robot import LidarSpec as LidarSpec
 from .schema.robot import RobotSpec as RobotSpec
+from .schema.system import STATE_UNITS as STATE_UNITS
 from .schema.system import SystemSpec as SystemSpec
+from .schema.world import CorridorSpec as CorridorSpec
 from .schema.world import MapSpec as MapSpec
+from .schema.world import RegionSpec as RegionSpec
 from .task_sets import PATH_NAMES as PATH_NAMES
 from .task_sets import PathCoordinates as PathCoordinates

@@ -1,4 +1,6 @@
 from .grid_file import AxisHeader as AxisHeader
+from .grid_file import GridText as GridText
+from .grid_file import write_grid_file as write_grid_file
 from .interpolation import gradient_at as gradient_at
 from .interpolation import value_at as value_at
 from .interpolation import values_at as values_at

@@ -1,5 +1,6 @@
 from .decision import Goal as Goal
 from .decision import NavigatorOptions as NavigatorOptions
+from .decision import NavigatorState as NavigatorState
 from .explorer import Explorer as Explorer
 from .explorer import ExplorerOptions as ExplorerOptions
 from .look_ahead import LookAhead as LookAhead

@@ -1,1 +1,5 @@
 """Checks of solutions: driving by them, exact references, convergence, cost."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+from .table import play_episode as play_episode

@@ -1,0 +1,1 @@
+from .drives import drive as drive

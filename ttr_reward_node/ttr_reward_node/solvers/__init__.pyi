@@ -1,0 +1,1 @@
+from .decomposition import solve_parts as solve_parts
