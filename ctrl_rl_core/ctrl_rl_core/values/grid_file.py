@@ -69,7 +69,7 @@ def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
     return checked_tensors.encode_tensors({_TENSOR: values}, HEADER_KEY, description)
 
 
-def write(path: Path, content: bytes, *, overwrite: bool) -> None:
+def write_grid_file(path: Path, content: bytes, *, overwrite: bool) -> None:
     """Write the file atomically.
 
     Raises:

@@ -146,7 +146,7 @@ class ValueGrid:
         Raises:
             GridError: The file exists and `overwrite` is false, or it cannot be written.
         """
-        grid_file.write(Path(path), self._encode(), overwrite=overwrite)
+        grid_file.write_grid_file(Path(path), self._encode(), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:

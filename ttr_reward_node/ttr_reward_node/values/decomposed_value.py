@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from ctrl_rl_core.io import FileError, Name, Schema, encode_tensors, raise_as, read_tensors, short_repr
-from ctrl_rl_core.values import AxisHeader
-from ctrl_rl_core.values.grid_file import GridText, write
+from ctrl_rl_core.values import AxisHeader, GridText, write_grid_file
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
@@ -137,7 +136,7 @@ class DecomposedValue:
         Raises:
             GridError: the file exists and `overwrite` is false, or it cannot be written.
         """
-        write(Path(path), self._encode(), overwrite=overwrite)
+        write_grid_file(Path(path), self._encode(), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
