@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 import yaml
 from commands import check_refused, command
-from ctrl_rl_navigation.cli import task_content
-from ctrl_rl_navigation.cli.simulation import DriveSimulation, Errors
-from ctrl_rl_navigation.driving import Goal
-from ctrl_rl_navigation.driving.decision import NavigatorState
+from ctrl_rl_navigation.cli import DriveSimulation, Errors, task_content
+from ctrl_rl_navigation.driving import Goal, NavigatorState
 
 from ctrl_rl_core import (
     NavigationTask,

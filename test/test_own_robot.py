@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_core.systems.registry import find_model
+from ctrl_rl_core.systems import find_model
 from ctrl_rl_learning.sb3 import FleetEnvironments, evaluate_in_fleet, extract_actor, make_algorithm
 
 from ctrl_rl_core import (

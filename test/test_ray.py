@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from ctrl_rl_core.processes import map_in_ray
 from ctrl_rl_learning.study import RunOptions, run_experiments
-from option_coordinator.training.experiments.runs import OptionRun, option_runs
+from option_coordinator.training import OptionRun, option_runs
 
 from ctrl_rl_core import WorkersError, load_navigation_task
 from oc_baseline_node import DataSettings, formulate, make_data

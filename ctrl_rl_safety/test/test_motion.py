@@ -11,8 +11,7 @@ from ctrl_rl_core import find_robot
 from ctrl_rl_safety import RobotModel
 
 pytest.importorskip("sim_bridge")
-from sim_bridge.engines.planar_geometry import wheel_speeds
-from sim_bridge.engines.planar_parts import wheeled_model
+from sim_bridge.engines import wheel_speeds, wheeled_model
 
 STEP = 0.02
 speeds = st.floats(-2.0, 2.0)

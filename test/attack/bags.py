@@ -22,8 +22,8 @@ import yaml
 import zstandard
 from _attack import Attack
 from _limited import run_limited
-from ctrl_rl_bags.recording import message_class
-from ctrl_rl_bags.recording.message_types import UnknownTypeError, is_type_name
+from ctrl_rl_bags.recording import UnknownTypeError, message_class
+from ctrl_rl_bags.recording.message_types import is_type_name
 from mcap.opcode import Opcode
 
 from ctrl_rl_bags import BagWriter, Topic, message_definition, read_raw

@@ -7,9 +7,16 @@ from pathlib import Path
 
 import numpy as np
 from _attack import Attack
-from ctrl_rl_bags.datasets import Found, ScanLayout, extract, find_layout, whole_episodes
-from ctrl_rl_bags.datasets.options import ExtractionOptions
-from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE, MessageMaker
+from ctrl_rl_bags.datasets import (
+    ExtractionOptions,
+    Found,
+    MessageMaker,
+    ScanLayout,
+    extract,
+    find_layout,
+    whole_episodes,
+)
+from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE
 
 from ctrl_rl_bags import BagError, BagWriter
 

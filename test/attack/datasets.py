@@ -11,9 +11,8 @@ from _attack import Attack
 from _limited import run_limited
 from _mutations import cut, flip, overwrite
 from clocks import COMMANDS, _message
-from ctrl_rl_bags.datasets.conversion import export_bags
-from ctrl_rl_bags.datasets.options import ExtractionOptions
-from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE, MessageMaker
+from ctrl_rl_bags.datasets import ExtractionOptions, MessageMaker, export_bags
+from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE
 
 from ctrl_rl_bags import BagWriter
 

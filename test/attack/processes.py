@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from _attack import Attack
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.processes.signals import STOP_SIGNALS
+from ctrl_rl_core.processes import STOP_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts" / "reference"))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from _attack import Attack
-from ctrl_rl_core.navigation.transform_tree import TransformError, TransformTree
+from ctrl_rl_core.navigation import TransformError, TransformTree
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
-from ttr_reward_node.verification.safety_cases import SafetyCase, air3d, double_integrator, pursuit
+from ttr_reward_node.verification import SafetyCase, air3d, double_integrator, pursuit
 
 from ctrl_rl_core import Result, parse_options, write_results
 from ttr_reward_node import SafetySolver

@@ -19,17 +19,18 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from ctrl_rl_bags.datasets import Found, Frames, ScanLayout, extract, find_layout, whole_episodes
-from ctrl_rl_bags.datasets.conversion import read_dataset
-from ctrl_rl_bags.datasets.options import ExtractionOptions
-from ctrl_rl_bags.datasets.rebuilding import (
-    EPISODE_TYPE,
-    GOAL_TYPE,
-    ODOMETRY_TYPE,
-    REWARD_TYPE,
-    SCAN_TYPE,
+from ctrl_rl_bags.datasets import (
+    ExtractionOptions,
+    Found,
+    Frames,
     MessageMaker,
+    ScanLayout,
+    extract,
+    find_layout,
+    read_dataset,
+    whole_episodes,
 )
+from ctrl_rl_bags.datasets.rebuilding import EPISODE_TYPE, GOAL_TYPE, ODOMETRY_TYPE, REWARD_TYPE, SCAN_TYPE
 from tqdm import tqdm
 
 from ctrl_rl_bags import BagWriter

@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from option_coordinator.nodes import EXCHANGE
-from option_coordinator.nodes.messages import request_message, status_message
-from option_coordinator.protocol.protocol_types import AgentState
-from option_coordinator.training.heads.heads import as_numpy, make_head
+from option_coordinator.nodes import EXCHANGE, request_message, status_message
+from option_coordinator.protocol import AgentState
+from option_coordinator.training import as_numpy, make_head
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from option_coordinator.training.heads.heads import as_numpy, make_head
+from option_coordinator.training import as_numpy, make_head
 
 from ctrl_rl_core import read_benchmarks
 from option_coordinator import Agent, OptionPolicy, PolicyQuery, learned_policy_fn

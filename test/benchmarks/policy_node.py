@@ -23,8 +23,8 @@ import numpy as np
 import rclpy
 from _common import Row, executable
 from control_latency import compare
-from ctrl_rl_bringup.runner.stack import NodeSpec, policy_nodes, simulator
-from ctrl_rl_bringup.transfer.table import play_episode
+from ctrl_rl_bringup.runner import NodeSpec, policy_nodes, simulator
+from ctrl_rl_bringup.transfer import play_episode
 from ctrl_rl_core.command import OptionalFileToWrite, make_command, some_of
 from ctrl_rl_core.io import read_experiment
 from geometry_msgs.msg import TwistStamped
@@ -124,7 +124,7 @@ def through_node(policy: str, seeds: range, real_time: bool) -> list[bool]:
         seeds: Seeds of the episodes.
         real_time: Whether the simulator runs in real time instead.
     """
-    from ctrl_rl_bringup.runner.domain import own_domain
+    from ctrl_rl_bringup.runner import own_domain
 
     with own_domain("policy_node"):
         rclpy.init()

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from ctrl_rl_bringup.runner.transport import answer_latencies, lost_messages, read_sent
+from ctrl_rl_bringup.runner import answer_latencies, lost_messages, read_sent
 from ctrl_rl_core.ros import ODOM_PUBLISHER, to_stamp
 from nav_msgs.msg import Odometry
 from rclpy.node import Node

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from _common import Row, echo, executable, row
-from ctrl_rl_core.ros import SCAN_PUBLISHER, float32_array
-from ctrl_rl_core.ros.node import DIAGNOSTICS
+from ctrl_rl_core.ros import DIAGNOSTICS, SCAN_PUBLISHER, float32_array
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 from _common import Row, row
-from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, solve_parts
-from ttr_reward_node.verification.convergence import measure_errors
-from ttr_reward_node.verification.cost import exponent, measure_cost
-from ttr_reward_node.verification.exact_times import Reference, reference
+from ttr_reward_node.solvers import solve_parts
+from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D
+from ttr_reward_node.verification import Reference, exponent, measure_cost, measure_errors, reference
 
 from ctrl_rl_core import ValueGrid
 from ttr_reward_node import TimeToReachProblem, problem_from_task, solve

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems.models import Equations
+from ctrl_rl_core.systems import Equations
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System

@@ -19,9 +19,9 @@ from _systems import problem_of
 from ctrl_rl_core.io import add_results
 from numpy.typing import NDArray
 from tqdm import tqdm
-from ttr_reward_node.certificates.drives import drive
+from ttr_reward_node.certificates import drive
 from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D
-from ttr_reward_node.verification.check import random_starts
+from ttr_reward_node.verification import random_starts
 
 from ctrl_rl_core import Result, ValueFunction, ValueGrid, parse_options
 from ttr_reward_node import TimeToReachProblem, problem_from_task, solve, solve_decomposed

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from ctrl_rl_core.io.file_checks import available_memory
+from ctrl_rl_core.io import available_memory
 from ctrl_rl_core.values import cached_njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_core.tasks import RewardSpec
-from ctrl_rl_core.tasks.schema.world import RegionSpec
+from ctrl_rl_core.tasks import RegionSpec, RewardSpec
 from hypothesis import given
 from hypothesis import strategies as st
 from ttr_reward_node.rewards.rewards import DISTANCE_WEIGHTS, longest_time

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import Transform
+from ctrl_rl_core.navigation import Transform
 from ctrl_rl_core.robots import DEFAULT_ROBOT
 from numpy.typing import ArrayLike, NDArray
-from sim_bridge.simulation.odometry import Localiser, correction
+from sim_bridge.simulation import Localiser, correction
 
 from ctrl_rl_core import (
     DriveSafety,

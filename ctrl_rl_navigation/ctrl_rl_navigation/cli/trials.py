@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_core.command import parse_options, run_command
-from ctrl_rl_core.io import add_results
-from ctrl_rl_core.io.outcome_log import OutcomeLog
+from ctrl_rl_core.io import OutcomeLog, add_results
 
 from ctrl_rl_core import OccupancyMap, Result, find_robot
 from ctrl_rl_navigation.cli.goals import GoalMaker

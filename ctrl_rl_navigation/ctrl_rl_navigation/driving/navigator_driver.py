@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import Transform
+from ctrl_rl_core.navigation import Transform
 from ctrl_rl_core.sensing import planar, view_scan
 from numpy.typing import NDArray
 

@@ -6,7 +6,7 @@ import math
 from enum import Enum, auto
 
 import numpy as np
-from ctrl_rl_core.processes.background import Job, start_job
+from ctrl_rl_core.processes import Job, start_job
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from ctrl_rl_core.navigation.transform_tree import Transform
-from ctrl_rl_core.ros.value_messages import as_percent
+from ctrl_rl_core.navigation import Transform
+from ctrl_rl_core.ros import as_percent
 from geometry_msgs.msg import Pose, PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from numpy.typing import NDArray

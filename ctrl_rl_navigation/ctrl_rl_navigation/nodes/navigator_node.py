@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import Transform, TransformError
+from ctrl_rl_core.navigation import Transform, TransformError
 from ctrl_rl_core.policies import PoseInput
 from ctrl_rl_core.ros import LATCHED, Status, answer, nanoseconds, ok, warn
 from ctrl_rl_core.sensing import ODOMETRY_NAMES

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from ctrl_rl_core.navigation.pose_source import POSE_SOURCES
-from ctrl_rl_core.ros.parameters import robot_parameter
+from ctrl_rl_core.navigation import POSE_SOURCES
+from ctrl_rl_core.ros import robot_parameter
 
 from ctrl_rl_core import LIDAR_PARAMETERS, Parameter
 

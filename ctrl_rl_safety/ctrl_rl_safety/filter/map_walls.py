@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from ctrl_rl_core.navigation import OCCUPIED
-from ctrl_rl_core.navigation.transform_tree import Transform
+from ctrl_rl_core.navigation import OCCUPIED, Transform
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_bags.alignment import warn
-from ctrl_rl_bags.alignment.clocks import Tell
+from ctrl_rl_bags.alignment import Tell, warn
 from ctrl_rl_bags.alignment.resampling import Method
-from ctrl_rl_core.sensing.odometry_health import contradiction
+from ctrl_rl_core.sensing import contradiction
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagError, align, open_bag

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import yaml
-from ctrl_rl_core.robots.robot import robot_names
+from ctrl_rl_core.robots import robot_names
 
 from ctrl_rl_core import Robot, RobotError, atomic_write, find_robot
 from ctrl_rl_safety.errors import SafetyError

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from ctrl_rl_core.driving.command_output import ThrustOutput
+from ctrl_rl_core.driving import ThrustOutput
 from ctrl_rl_core.ros import Status, ok, to_stamp, warn
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray

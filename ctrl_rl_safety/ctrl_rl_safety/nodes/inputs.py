@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.navigation.pose_source import OdometryTrack
+from ctrl_rl_core.navigation import OdometryTrack
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanGeometry

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ctrl_rl_core.navigation.transform_tree import TransformError
+from ctrl_rl_core.navigation import TransformError
 from ctrl_rl_core.policies import PoseInput
 from ctrl_rl_core.ros import LATCHED
 from nav_msgs.msg import OccupancyGrid, Odometry

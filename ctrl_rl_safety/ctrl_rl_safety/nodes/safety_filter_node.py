@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time as Stamp
-from ctrl_rl_core.navigation.transform_tree import TransformError
-from ctrl_rl_core.processes.background import Job, start_job
+from ctrl_rl_core.navigation import TransformError
+from ctrl_rl_core.processes import Job, start_job
 from ctrl_rl_core.ros import LATCHED, Status, to_stamp, warn
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry

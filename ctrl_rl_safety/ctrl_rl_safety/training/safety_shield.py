@@ -14,7 +14,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.systems.number_reader import NumberReader, Source, reader_of
+from ctrl_rl_core.systems import NumberReader, Source, reader_of
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 

@@ -18,8 +18,7 @@ from ctrl_rl_core.command import (
     run_command,
     some_of,
 )
-from ctrl_rl_core.io import add_results
-from ctrl_rl_core.io.outcome_log import OutcomeLog
+from ctrl_rl_core.io import OutcomeLog, add_results
 from ctrl_rl_core.policies import shipped_policies
 from tqdm import tqdm
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from ctrl_rl_core.driving import drive as loop
-from ctrl_rl_core.policies.actor_policy import policy_of
+from ctrl_rl_core.policies import policy_of
 from numpy.typing import NDArray
 
 from ctrl_rl_core import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.tasks.schema.movers import MoverSpec
+from ctrl_rl_core.tasks import MoverSpec
 
 from ctrl_rl_core import Interval, NavigationTask, find_robot
 from ctrl_rl_safety.models.robot_model import RobotModel

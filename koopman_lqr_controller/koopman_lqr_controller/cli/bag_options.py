@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from ctrl_rl_bags.datasets import print_note
-from ctrl_rl_bags.datasets.options import DriveOptions
+from ctrl_rl_bags.datasets import DriveOptions, print_note
 from ctrl_rl_core.command import FileToWrite, checked, finite_number
 from tqdm import tqdm
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 from ctrl_rl_core.command import FileToWrite, at_least
-from ctrl_rl_core.io import results_lock
-from ctrl_rl_core.io.results import with_others
+from ctrl_rl_core.io import results_lock, with_others
 from ctrl_rl_learning.study import NotNegative, Positive, make_command, make_old_command, one_of
 
 from ctrl_rl_core import write_results

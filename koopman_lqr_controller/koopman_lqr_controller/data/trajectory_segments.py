@@ -8,11 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.alignment import warn
-from ctrl_rl_bags.alignment.clocks import Tell
-from ctrl_rl_bags.datasets import ACTION, ODOMETRY, OUTCOME, SCAN, Found, extract, find_layout, whole_episodes
-from ctrl_rl_bags.datasets.frames import states_of, times_of
-from ctrl_rl_bags.datasets.options import DriveOptions
+from ctrl_rl_bags.alignment import Tell, warn
+from ctrl_rl_bags.datasets import (
+    ACTION,
+    ODOMETRY,
+    OUTCOME,
+    SCAN,
+    DriveOptions,
+    Found,
+    extract,
+    find_layout,
+    states_of,
+    times_of,
+    whole_episodes,
+)
 from numpy.typing import NDArray
 
 from ctrl_rl_core import CtrlRlError, ScanGeometry

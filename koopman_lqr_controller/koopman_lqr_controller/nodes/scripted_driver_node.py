@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros.parameters import robot_parameter
+from ctrl_rl_core.ros import robot_parameter
 
 from ctrl_rl_core import DRIVER_PARAMETERS, DriverNode, NodeDriver, Parameter, Sensors, run_node
 from koopman_lqr_controller.arrays import Array

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.alignment import warn
-from ctrl_rl_bags.alignment.clocks import Tell
+from ctrl_rl_bags.alignment import Tell, warn
 from ctrl_rl_bags.format import fields_of
 from ctrl_rl_bags.format.checks import printable
 from numpy.typing import NDArray

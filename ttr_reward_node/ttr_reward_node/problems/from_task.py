@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.geometry.units import parse_interval
-from ctrl_rl_core.tasks.schema.system import STATE_UNITS
-from ctrl_rl_core.tasks.schema.world import CorridorSpec
+from ctrl_rl_core.geometry import parse_interval
+from ctrl_rl_core.tasks import STATE_UNITS, CorridorSpec
 
 from ctrl_rl_core import (
     Axis,

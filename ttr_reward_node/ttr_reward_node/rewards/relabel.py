@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_bags.format import fields_of
+from ctrl_rl_bags.format import BagTypes, fields_of
 from ctrl_rl_bags.format.checks import DamagedError
-from ctrl_rl_bags.format.type_definitions import BagTypes
-from ctrl_rl_bags.recording.message_types import register
+from ctrl_rl_bags.recording import register
 
 from ctrl_rl_bags import (
     BagError,

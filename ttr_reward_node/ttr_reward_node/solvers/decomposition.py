@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.systems import Dynamics
-from ctrl_rl_core.systems.models import Equations
+from ctrl_rl_core.systems import Dynamics, Equations
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Disc, Interval, NavigationTask, Quantity, Region, System, position_indices

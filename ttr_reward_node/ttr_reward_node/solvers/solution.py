@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ctrl_rl_core.io.file_checks import available_memory
+from ctrl_rl_core.io import available_memory
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ValueGrid

@@ -21,7 +21,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from ctrl_rl_core.systems.number_reader import NumberReader, Source
+from ctrl_rl_core.systems import NumberReader, Source
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import concatenate, create_empty_array, iterate
 from numpy.typing import NDArray

@@ -17,8 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from ctrl_rl_core.robots import DEFAULT_ROBOT
-from ctrl_rl_core.tasks import PathCoordinates
-from ctrl_rl_core.tasks.schema.world import CorridorSpec
+from ctrl_rl_core.tasks import CorridorSpec, PathCoordinates
 from gymnasium import spaces
 from numpy.typing import NDArray
 
