@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from ctrl_rl_safety.sets.recoverable_set import HEADINGS, LEVELS
 
 from ctrl_rl_core import Axis, Quantity, System
 from ctrl_rl_safety import Growth, RobotModel, obstacles_around, solve_set
@@ -36,12 +35,12 @@ def test_one_pass_over_speeds_is_the_viability_kernel_of_the_solver() -> None:
     echoes = np.random.default_rng(5).uniform(-1.1, 1.1, (12, 2))
     found = solve_set(obstacles_around(NONE, echoes, NONE, (0.0, 0.0), CELL), MODEL, Growth(0.0))
     ours = found.values[..., ::EVERY, ::EVERY].transpose(3, 2, 1, 0).astype(np.float64)  # x, y, theta, v
-    nodes, width = ours.shape[0], EVERY * CELL
+    (nodes, _, headings, speeds), width = ours.shape, EVERY * CELL
     axes = (
         Axis("x", "m", found.x, found.x + (nodes - 1) * width, nodes),
         Axis("y", "m", found.y, found.y + (nodes - 1) * width, nodes),
-        Axis("theta", "rad", 0.0, 2.0 * math.pi, HEADINGS, True),
-        Axis("v", "m/s", 0.0, MODEL.speed, LEVELS + 1),
+        Axis("theta", "rad", 0.0, 2.0 * math.pi, headings, True),
+        Axis("v", "m/s", 0.0, MODEL.speed, speeds),
     )
     margin = ours[:, :, :1, :1]
     kernel = SafetySolver(SafetyGame(car(), axes), interpolation="linear").solve(margin).values

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from ctrl_rl_core import Box, Disc, load_navigation_task
 from ctrl_rl_safety import FlightGuard, FlightOptions, QuadrotorModel, SafetyError, quadrotor_of
 
 pytest.importorskip("sim_bridge")
-from sim_bridge.engines.engine import URDF_FOLDER
 
 from sim_bridge import SimulatedWorld, SimulationOptions
 
@@ -34,7 +34,7 @@ def guard_of(world: SimulatedWorld, model: QuadrotorModel | None = None) -> Flig
 
 
 def test_it_has_the_size_of_the_simulators_body() -> None:
-    text = (URDF_FOLDER / "planar_quadrotor.urdf").read_text()
+    text = (files("sim_bridge") / "urdf" / "planar_quadrotor.urdf").read_text()
     assert re.findall(r'<collision>\s*<geometry><box size="(\S+) \S+ (\S+)"', text) == [(str(LENGTH), str(HEIGHT))]
 
 

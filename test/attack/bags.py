@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shutil
 import struct
 import sys
@@ -23,7 +24,6 @@ import zstandard
 from _attack import Attack
 from _limited import run_limited
 from ctrl_rl_bags.recording import UnknownTypeError, message_class
-from ctrl_rl_bags.recording.message_types import is_type_name
 from mcap.opcode import Opcode
 
 from ctrl_rl_bags import BagWriter, Topic, message_definition, read_raw
@@ -53,6 +53,7 @@ _DEFINITIONS = (
     "bool data\n" * 3,
     "import os\n",
 )
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*", re.ASCII)
 _YAML = (
     "[" * 5000,
     "\n".join(["a0: &a0 [1]", *(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 30))]),
@@ -65,9 +66,8 @@ _USE = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from ctrl_rl_bags.format.copy import copy_bag, read_serialized
-from ctrl_rl_bags import BagError, read_messages
-from ctrl_rl_core.errors import CtrlRlError
+from ctrl_rl_bags import copy_bag, read_messages, read_serialized
+from ctrl_rl_core import CtrlRlError
 
 bag, output, what = sys.argv[1:]
 try:
@@ -81,8 +81,7 @@ try:
         copy_bag(bag, output, [], lambda message: ())
     elif what == "play":
         from ctrl_rl_bags import bag_info
-        from ctrl_rl_bags.recording.message_types import UnknownTypeError, message_class
-        from ctrl_rl_bags.recording.qos import publisher_qos
+        from ctrl_rl_bags.recording import UnknownTypeError, message_class, publisher_qos
         for name, topic in bag_info(bag).topics.items():
             try:
                 message_class(topic.type)
@@ -90,7 +89,7 @@ try:
                 pass
             publisher_qos(topic.qos, 10)
     elif what == "relabel":
-        from ttr_reward_node.rewards.relabel import relabel
+        from ttr_reward_node import relabel
         class Flat:  # what is attacked is the bag; a solved function would say the same slowly
             state_names, digest = ("x", "y", "theta"), "0"
             def value_and_gradient_at(self, state):
@@ -133,7 +132,7 @@ def run_names(generator: Random, _folder: Path) -> None:
         for look_up in (message_class, message_definition):
             with suppress(UnknownTypeError):
                 look_up(name)
-                assert is_type_name(name), f"{name!r} was looked up"
+                assert _TYPE_NAME.fullmatch(name), f"{name!r} was looked up"
     foreign = {name.partition(".")[0] for name in set(sys.modules) - before}
     assert all(name.endswith(("_msgs", "_interfaces")) for name in foreign), f"imported {sorted(foreign)}"
 

@@ -16,12 +16,12 @@ from ctrl_rl_bags.datasets import (
     find_layout,
     whole_episodes,
 )
-from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE
 
 from ctrl_rl_bags import BagError, BagWriter
 
 Random = np.random.Generator
 SCAN = ScanLayout(beams=8, angle_min=-1.5, angle_increment=0.4, range_min=0.1, range_max=500.0, frame="scan")
+SENSORS = (("/scan", "sensor_msgs/msg/LaserScan"), ("/odom", "nav_msgs/msg/Odometry"))
 COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 SECOND = 10**9
 
@@ -69,7 +69,7 @@ def _write(random: Random, folder: Path) -> None:
             received = 0 if k < unborn else start + SECOND + round(slow * (time + late))
             events.append((received, time + late, name, _message(make, name, kind, stamp, k)))
     with BagWriter(folder) as bag:
-        for name, each in (("/scan", SCAN_TYPE), ("/odom", ODOMETRY_TYPE), ("/cmd_vel", kind)):
+        for name, each in (*SENSORS, ("/cmd_vel", kind)):
             bag.add_topic(make.topic(name, each))
         for received, _, name, data in sorted(events, key=lambda event: event[:2]):
             bag.write(name, data, received)

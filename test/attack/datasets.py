@@ -10,9 +10,8 @@ import numpy as np
 from _attack import Attack
 from _limited import run_limited
 from _mutations import cut, flip, overwrite
-from clocks import COMMANDS, _message
+from clocks import COMMANDS, SENSORS, _message
 from ctrl_rl_bags.datasets import ExtractionOptions, MessageMaker, export_bags
-from ctrl_rl_bags.datasets.rebuilding import ODOMETRY_TYPE, SCAN_TYPE
 
 from ctrl_rl_bags import BagWriter
 
@@ -25,7 +24,7 @@ def run(random: np.random.Generator, folder: Path) -> None:
     """Export a drive in both formats, break a file of each a few times, and import it."""
     make = MessageMaker()
     with BagWriter(folder / "bag") as bag:
-        for name, kind in (("/scan", SCAN_TYPE), ("/odom", ODOMETRY_TYPE), ("/cmd_vel", COMMANDS[1])):
+        for name, kind in (*SENSORS, ("/cmd_vel", COMMANDS[1])):
             bag.add_topic(make.topic(name, kind))
             for k in range(20):
                 time = (k + 1) * 10**8

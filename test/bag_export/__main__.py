@@ -30,7 +30,6 @@ from ctrl_rl_bags.datasets import (
     read_dataset,
     whole_episodes,
 )
-from ctrl_rl_bags.datasets.rebuilding import EPISODE_TYPE, GOAL_TYPE, ODOMETRY_TYPE, REWARD_TYPE, SCAN_TYPE
 from tqdm import tqdm
 
 from ctrl_rl_bags import BagWriter
@@ -38,6 +37,14 @@ from ctrl_rl_core import Result, parse_options, write_results
 
 HOUR, RATE, SCAN_EVERY, EPISODE = 3600, 30, 6, 60 * 30
 COMMAND = "geometry_msgs/msg/TwistStamped"
+KINDS = {
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/cmd_vel": COMMAND,
+    "/goal_pose": "geometry_msgs/msg/PoseStamped",
+    "/reward": "ctrl_rl_msgs/msg/TaskReward",
+    "/episode": "ctrl_rl_msgs/msg/EpisodeStatus",
+}
 STEP, LEAST = float(np.float32(np.pi / 180)), float(np.float32(0.12))
 SCAN = ScanLayout(beams=360, angle_min=0.0, angle_increment=STEP, range_min=LEAST, range_max=3.5)
 MEASURE = """
@@ -135,10 +142,8 @@ def write_hour(folder: Path) -> None:
     make, random, t = MessageMaker(), np.random.default_rng(0), 1_700_000_000 * 10**9
     pose, walls = np.zeros(13), random.uniform(0.2, 3.4, SCAN.beams)
     pose[6] = 1.0
-    kinds = {"/scan": SCAN_TYPE, "/odom": ODOMETRY_TYPE, "/cmd_vel": COMMAND, "/goal_pose": GOAL_TYPE}
-    kinds |= {"/reward": REWARD_TYPE, "/episode": EPISODE_TYPE}
     with BagWriter(folder) as bag:
-        for name, kind in kinds.items():
+        for name, kind in KINDS.items():
             bag.add_topic(make.topic(name, kind))
         bag.set_custom_data("task", "curved_corridor")
         for tick in tqdm(range(HOUR * RATE), "an hour of driving", disable=None):

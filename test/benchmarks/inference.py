@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from _common import Row, row
-from koopman_lqr_controller.models.encoder import Dense
 
 from ctrl_rl_core import ScanGeometry
 from koopman_lqr_controller import DEFAULT_POLICY, EdmdPolicy, KoopmanPolicy, LatentPolicy, find_policy, load_policy
@@ -30,7 +29,7 @@ def products(policy: KoopmanPolicy) -> Callable[[], None]:
     else:
         assert isinstance(policy, LatentPolicy)
         controller = policy.controller
-        matrices = [layer.weight for layer in controller.encoder.layers if isinstance(layer, Dense)]
+        matrices = [it.weight for it in controller.encoder.layers if getattr(it, "weight", np.empty(0)).ndim == 2]
         matrices += [each for each in (controller.projection, controller.K) if each is not None]
     work = [(matrix, np.ones(matrix.shape[1], matrix.dtype)) for matrix in matrices]
 

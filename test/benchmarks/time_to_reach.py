@@ -16,22 +16,21 @@ from pathlib import Path
 import numpy as np
 from _common import Row, row
 from ttr_reward_node.solvers import solve_parts
-from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D
 from ttr_reward_node.verification import Reference, exponent, measure_cost, measure_errors, reference
 
 from ctrl_rl_core import ValueGrid
-from ttr_reward_node import TimeToReachProblem, problem_from_task, solve
+from ttr_reward_node import DECOMPOSITIONS, TimeToReachProblem, problem_from_task, solve
 
 COUNTS = (101, 101, 72)
 STATES = 5000
 REPEATS = 5
 QUADROTOR = {"x": 101, "v_x": 61, "z": 101, "v_z": 61, "psi": 61, "omega": 9}
 THESIS_QUADROTOR = 90.0
+HALVES = DECOMPOSITIONS["planar_quadrotor"]["4d+4d"]
 INSTALL = "hj_reachability is not installed: pip install -r requirements/benchmarks.txt"
 _FIRST_USE = """
 import time
-from ttr_reward_node.problems.from_task import problem_from_task
-from ttr_reward_node.solvers.solver import solve
+from ttr_reward_node import problem_from_task, solve
 problem = problem_from_task("car_ttr", counts=(21, 21, 18))
 begin = time.process_time()
 solve(problem)
@@ -136,7 +135,7 @@ def _first_use() -> list[Row]:
 
 
 def _quadrotor() -> Row:
-    problem, parts, solutions = solve_parts("quad_ttr", PLANAR_QUADROTOR_4D, counts=QUADROTOR)
+    problem, parts, solutions = solve_parts("quad_ttr", HALVES, counts=QUADROTOR)
     del problem
     seconds = sum(solution.cpu_seconds for solution in solutions)
     each = " + ".join(f"{part.problem.points / 1e6:.2f}" for part in parts)

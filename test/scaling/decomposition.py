@@ -20,14 +20,14 @@ from ctrl_rl_core.io import add_results
 from numpy.typing import NDArray
 from tqdm import tqdm
 from ttr_reward_node.certificates import drive
-from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D
 from ttr_reward_node.verification import random_starts
 
 from ctrl_rl_core import Result, ValueFunction, ValueGrid, parse_options
-from ttr_reward_node import TimeToReachProblem, problem_from_task, solve, solve_decomposed
+from ttr_reward_node import DECOMPOSITIONS, TimeToReachProblem, problem_from_task, solve, solve_decomposed
 
 Array = NDArray[np.float64]
 NAME = "planar quadrotor, undecomposed"
+HALVES = DECOMPOSITIONS["planar_quadrotor"]["4d+4d"]
 _MOST_STEPS = 5000  # of a roll-out; thrusts turn the pitch rate by a cell within a millisecond
 
 
@@ -54,8 +54,8 @@ def main() -> int:
     task = replace(problem_from_task("quad_ttr"), clearance=None)
     values: dict[str, ValueFunction] = {
         f"undecomposed, {nodes}": whole,
-        f"4D + 4D, {options.count}^4 each": solve_decomposed(problem, PLANAR_QUADROTOR_4D),
-        "4D + 4D, nodes of the task": solve_decomposed(task, PLANAR_QUADROTOR_4D),
+        f"4D + 4D, {options.count}^4 each": solve_decomposed(problem, HALVES),
+        "4D + 4D, nodes of the task": solve_decomposed(task, HALVES),
     }
     starts = random_starts(whole, problem, options.starts)
     executed = {name: roll_out(value, problem, starts) for name, value in tqdm(values.items(), disable=None)}

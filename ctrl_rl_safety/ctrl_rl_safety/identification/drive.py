@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from ctrl_rl_bags.alignment import Tell, warn
-from ctrl_rl_bags.alignment.resampling import Method
 from ctrl_rl_core.sensing import contradiction
 from numpy.typing import NDArray
 
@@ -62,8 +61,9 @@ def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "", te
         odometry = _topic(opened.info.topics, odometry_topic, "odom", bag)
     try:
         # The log times of both: a delay is from the sending of a command to the odometry that shows its effect.
-        methods: dict[str, Method] = {odometry: "linear"}
-        found = align(bag, [commands, odometry], 1.0 / STEP, methods=methods, clock="log", max_age=LATEST, tell=tell)
+        found = align(
+            bag, [commands, odometry], 1.0 / STEP, methods={odometry: "linear"}, clock="log", max_age=LATEST, tell=tell
+        )
     except BagError as error:
         raise SafetyError(str(error)) from None
     drives = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
@@ -19,7 +20,6 @@ from ctrl_rl_core.io import (
     short_path,
     short_repr,
 )
-from ctrl_rl_core.io.checked_tensors import LARGEST
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write
@@ -76,7 +76,7 @@ def find_policy(name_or_path: str) -> Path:
 def digest(path: Path) -> str:
     """Return the SHA-256 of a policy file (hex)."""
     with raise_as(KoopmanError, path):
-        return hashlib.sha256(read_bytes(path, LARGEST)).hexdigest()
+        return hashlib.sha256(read_bytes(path, math.inf)).hexdigest()
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from ctrl_rl_bags.alignment import Tell, warn
 from ctrl_rl_bags.format import fields_of
-from ctrl_rl_bags.format.checks import printable
+from ctrl_rl_core.io import one_line
 from numpy.typing import NDArray
 
 from ctrl_rl_bags import bag_info, read_messages
@@ -43,7 +43,7 @@ def yaw_of_lidar(bag: Path, scan: str, robot: str = "", tell: Tell = warn) -> fl
     if not turns:
         if frame.rpartition("/")[2] not in ("", *_BASES):
             tell(
-                f"{bag}: no tf_static says how {printable(frame)} is mounted: the lidar is taken to look ahead "
+                f"{bag}: no tf_static says how {one_line(frame, 200)} is mounted: the lidar is taken to look ahead "
                 "(--lidar-yaw)"
             )
         return 0.0

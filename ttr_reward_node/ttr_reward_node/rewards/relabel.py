@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from ctrl_rl_bags.format import BagTypes, fields_of
-from ctrl_rl_bags.format.checks import DamagedError
 from ctrl_rl_bags.recording import register
 
 from ctrl_rl_bags import (
@@ -113,7 +112,7 @@ class _MessageRelabeller:
             return
         try:
             odometry: Any = self._known.decode(message.data, _ODOMETRY)
-        except DamagedError as error:
+        except BagError as error:
             raise BagError(f"{self._what} cannot be decoded: {error}") from None
         with fields_of(self._what):
             try:
