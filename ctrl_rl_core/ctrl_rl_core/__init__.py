@@ -1,4 +1,4 @@
-"""System models, tasks, value functions, files and the base classes of nodes, for every other package."""
+"""System models, tasks, value functions, file formats and node base classes shared by all packages."""
 
 import lazy_loader as lazy
 

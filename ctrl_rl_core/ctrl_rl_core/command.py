@@ -1,6 +1,6 @@
-"""Commands: options from a dataclass, and an end with the work done, one clear line of error, or an interruption.
+"""Command-line tools: options parsed from a dataclass, and one-line errors.
 
-A command calls `parse_options` with a dataclass whose docstrings are its help, then `run_command`.
+A command calls `parse_options` with a dataclass whose docstrings become its help, then `run_command`.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from ctrl_rl_core.old_names import with_new_names
 from ctrl_rl_core.refusals import reason_of
 
 EXIT_USAGE = 2
-"""A command line is refused."""
+"""Exit code of a refused command line."""
 _Options = TypeVar("_Options")
 
 
 class CommandError(CtrlRlError):
-    """An option has a value that does not serve."""
+    """An option has an invalid value."""
 
 
 @overload
@@ -39,18 +39,18 @@ def parse_options(
 @overload
 def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = None, epilog: str = "") -> Any: ...
 def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = None, epilog: str = "") -> Any:
-    """Return the options of a command; `--help` prints them and exits with 0.
+    """Parse the options of a command; `--help` prints the help and exits with 0.
 
     Args:
         program: Name of the command in messages.
         kind: Dataclass of the options. Its docstring describes the command, its fields' docstrings the options.
             For a command with subcommands, the union of their dataclasses, each annotated with
             `tyro.conf.subcommand(name)`.
-        arguments: Words of the command line; those of the process unless given.
+        arguments: Command-line arguments; `sys.argv[1:]` by default.
         epilog: Text below the description in `--help`; for a union the whole description.
 
     Raises:
-        SystemExit: With 2 after one line that says what is wrong, or with 0 after `--help`.
+        SystemExit: With code 2 after a one-line error, or with code 0 after `--help`.
     """
     own = (kind.__doc__ or "").strip() if isinstance(kind, type) else ""
     description = "\n\n".join(filter(None, (own, epilog)))
@@ -77,12 +77,12 @@ def _refuse(event: ParseErrorEvent) -> None:
 def checked(
     parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
 ) -> PrimitiveConstructorSpec[Any]:
-    """Return the reader of an option's one word, for use in `Annotated`.
+    """Return a tyro reader for an option with one argument, for use in `Annotated`.
 
     Args:
-        parse: Returns the value of a word, or raises ValueError with the reason of a refusal.
-        metavar: Placeholder of the word in `--help`.
-        show: Returns the word of a default, for `--help`.
+        parse: Converts the argument to the value, or raises ValueError with the reason.
+        metavar: Placeholder of the argument in `--help`.
+        show: Converts a default back to text for `--help`.
     """
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -96,7 +96,7 @@ def checked(
 def checked_list(
     parse: Callable[[str], Any], metavar: str, show: Callable[[Any], str] = str
 ) -> PrimitiveConstructorSpec[Any]:
-    """Return the reader of an option's words as a tuple; the arguments are those of `checked`."""
+    """Like `checked`, for an option with several arguments; the value is a tuple."""
     return PrimitiveConstructorSpec(
         nargs="*",
         metavar=f"[{metavar} ...]",
@@ -107,12 +107,12 @@ def checked_list(
 
 
 def one_of(names: Collection[str]) -> Any:
-    """Return how an option is read that takes one of these words, for use in `Annotated`."""
+    """Return a tyro reader for an option that accepts one of these choices, for use in `Annotated`."""
     return checked(_choice(names), f"{{{','.join(names)}}}")
 
 
 def some_of(names: Collection[str]) -> Any:
-    """Return how an option is read that takes any number of these words, for use in `Annotated`."""
+    """Return a tyro reader for an option that accepts any number of these choices, for use in `Annotated`."""
     return checked_list(_choice(names), f"{{{','.join(names)}}}")
 
 
@@ -126,7 +126,7 @@ def _choice(names: Collection[str]) -> Callable[[str], str]:
 
 
 def name_and_value(text: str) -> tuple[str, str]:
-    """Return both parts of a word NAME=VALUE.
+    """Split a NAME=VALUE argument into its two parts.
 
     Raises:
         ValueError: A part is missing.
@@ -138,7 +138,7 @@ def name_and_value(text: str) -> tuple[str, str]:
 
 
 def at_least(least: int) -> Any:
-    """Return the type of an option that is a whole number of at least `least`."""
+    """Return the type of an integer option with the lower bound `least`."""
 
     def parse(text: str) -> int:
         value = int(text) if re.fullmatch(r"[+-]?\d{1,18}", text) else None
@@ -157,10 +157,10 @@ else:
 
 
 def finite_number(text: str) -> float:
-    """Return the number of an option's word.
+    """Parse a finite number.
 
     Raises:
-        ValueError: It is no number, or not a finite one.
+        ValueError: The text is not a finite number.
     """
     try:
         number = float(text)
@@ -176,10 +176,10 @@ FiniteNumber = Annotated[float, checked(finite_number, "NUMBER")]
 
 
 def not_negative_number(text: str) -> float:
-    """Return the number of an option's word.
+    """Parse a finite number >= 0.
 
     Raises:
-        ValueError: It is no number, not a finite one, or below 0.
+        ValueError: The text is not a finite number, or the number is negative.
     """
     number = finite_number(text)
     if number < 0.0:
@@ -188,14 +188,14 @@ def not_negative_number(text: str) -> float:
 
 
 OptionalNotNegativeNumber = Annotated[float | None, checked(not_negative_number, "NUMBER")]
-"""An option that is a finite number of at least 0, or absent."""
+"""An option that is a finite number >= 0, or absent."""
 
 
 def file_to_write(text: str) -> Path:
-    """Return an option's file that will be written.
+    """Parse the path of a file to write.
 
     Raises:
-        ValueError: It is a folder, or its folder cannot be there or be written to.
+        ValueError: The path is a folder, or its parent folder cannot be created or written to.
     """
     path = Path(text)
     if path.is_dir():
@@ -205,10 +205,10 @@ def file_to_write(text: str) -> Path:
 
 
 def folder_to_write(text: str) -> Path:
-    """Return an option's folder that files will be written to; it need not be there yet.
+    """Parse the path of an output folder, which may not exist yet.
 
     Raises:
-        ValueError: It cannot be there or be written to.
+        ValueError: The folder cannot be created or written to.
     """
     path = Path(text)
     nearest = next(each for each in (path, *path.parents) if each.exists())
@@ -222,10 +222,10 @@ def folder_to_write(text: str) -> Path:
 FileToWrite = Annotated[Path, checked(file_to_write, "FILE")]
 """An option that names a file to write."""
 OptionalFileToWrite = Annotated[Path | None, checked(file_to_write, "FILE")]
-"""The same, where the option may be left out."""
+"""An optional file to write."""
 FolderToWrite = Annotated[Path, checked(folder_to_write, "FOLDER")]
 OptionalFolderToWrite = Annotated[Path | None, checked(folder_to_write, "FOLDER")]
-"""An option that names a folder to write to."""
+"""An optional folder to write to."""
 
 
 def make_command(
@@ -235,14 +235,16 @@ def make_command(
     epilog: str = "",
     renamed: Mapping[str, str] | None = None,
 ) -> Callable[..., int]:
-    """Return a command: a function of the words of its line (the process's unless given) that returns the exit code.
+    """Return a command: a function that takes command-line arguments and returns the exit code.
+
+    The arguments default to those of the process.
 
     Args:
         program: Name of the command in messages.
         kind: Dataclass of its options, see `parse_options`.
         work: Does the work and returns the exit code.
         epilog: Text below the description in `--help`.
-        renamed: Present names of options by their old ones, see `with_new_names`.
+        renamed: Maps old option names to current ones, see `with_new_names`.
     """
 
     def command(arguments: Sequence[str] | None = None) -> int:

@@ -1,8 +1,8 @@
-"""The door of every executable: what a signal, a closed output or an unforeseen error does is settled here, once.
+"""Common entry point of all executables: handles signals, closed outputs and unexpected errors.
 
-`scripts/package_setup.py` makes "demo = ctrl_rl_core.entry:command.ctrl_rl_bringup.cli.drive.demo" of an executable
-"demo = ctrl_rl_bringup.cli.drive:demo". This module imports little, so that a signal that comes while the executable's
-own modules are imported already meets a handler.
+`scripts/package_setup.py` rewrites the entry point "demo = ctrl_rl_bringup.cli.drive:demo" to
+"demo = ctrl_rl_core.entry:command.ctrl_rl_bringup.cli.drive.demo". This module imports little, so signal handlers are
+in place before the executable's own modules are imported.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from ctrl_rl_core.processes.signals import interrupt_once, set_handlers
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
-"""As a shell reports SIGINT."""
+"""Exit code that shells report for SIGINT."""
 _MOVED, MOVED_TO = "ctrl_rl_core.moved", "ctrl_rl_bags"
-"""Module of commands that have moved, and the package in which they are."""
+"""Modules of commands that have moved, and their new package."""
 _NOT_ON_A_ROBOT = ("sim_bridge", "ctrl_rl_learning")
 """Packages of this workspace that only learning needs."""
 
 
 class Door:
-    """A function by its dotted name, imported when it is called: `command.package.module.function()`.
+    """A function given by its dotted name and imported when called: `command.package.module.function()`.
 
     Args:
         interrupted: Exit code after a signal during the imports.
@@ -62,25 +62,25 @@ class Door:
             return _confess(program, error)
 
     def _end(self, _number: int, _frame: FrameType | None) -> NoReturn:
-        """End at once: nothing has begun that would have to be put in order."""
+        """Exit immediately: nothing has started that would need cleaning up."""
         if self._interrupted:
             _say(f"{os.path.basename(sys.argv[0])}: interrupted")
         os._exit(self._interrupted)
 
 
 command, node = Door(EXIT_INTERRUPTED), Door(0)
-"""Doors of commands, and of nodes, which a signal ends in good order."""
+"""Entry points of commands, and of nodes; a signal shuts nodes down cleanly."""
 
 
 def run_command(program: str, work: Callable[[], int], failure: int = EXIT_FAILURE) -> int:
-    """Run a command and return its exit code; a signal that ends processes interrupts it once, wherever it is.
+    """Run a command and return its exit code; the first signal that would end the process raises KeyboardInterrupt.
 
-    Each line that it prints leaves at once, into a pipe or a file too.
+    Output is line-buffered, into pipes and files too.
 
     Args:
-        program: Name that its errors begin with.
+        program: Prefix of its error messages.
         work: Returns the exit code.
-        failure: Exit code of an error that the suite explains.
+        failure: Exit code for a `CtrlRlError`.
     """
     reconfigure = getattr(sys.stdout, "reconfigure", None)
     if reconfigure is not None:
@@ -92,17 +92,17 @@ def run_command(program: str, work: Callable[[], int], failure: int = EXIT_FAILU
 def guarded(
     program: str, work: Callable[[], int], failure: int = EXIT_FAILURE, interrupted: Callable[[], bool] = lambda: False
 ) -> int:
-    """Run work and return its exit code; an interruption and what a user can mend is one line.
+    """Run work and return its exit code; an interruption or a user error prints one line.
 
     Args:
-        program: Name that the line begins with.
+        program: Prefix of the line.
         work: Returns the exit code.
-        failure: Exit code of an error that the suite explains.
-        interrupted: Tells whether a signal has come. Any error is then taken for its consequence: native code turns
-            the KeyboardInterrupt of a callback into an error of its own ("Unable to convert call argument").
+        failure: Exit code for a `CtrlRlError`.
+        interrupted: Returns whether a signal has arrived. If so, any error is treated as its consequence: native code
+            turns the KeyboardInterrupt of a callback into an error of its own ("Unable to convert call argument").
 
     Raises:
-        Exception: Any that is neither the suite's nor the system's: a fault of the program.
+        Exception: Any other exception, which indicates a bug.
     """
     try:
         try:
@@ -125,7 +125,7 @@ def _interrupted(program: str) -> int:
 
 
 def _explain(program: str, error: Exception, failure: int) -> int:
-    """Say an error in one line, and return its exit code."""
+    """Print an error in one line and return its exit code."""
     _discard_output()
     match error:
         case BrokenPipeError():  # the reader of a pipe (head, less) has seen enough
@@ -144,7 +144,7 @@ def _explain(program: str, error: Exception, failure: int) -> int:
 
 
 def _confess(program: str, error: Exception) -> int:
-    """Say an error that the suite does not explain in one line, and return its exit code."""
+    """Print an unexpected error in one line and return its exit code."""
     if sys.flags.dev_mode:
         traceback.print_exception(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
@@ -158,7 +158,7 @@ def _named(error: OSError) -> str:
 
 
 def what_to_install(module: str) -> str:
-    """Return how to get a module that is missing."""
+    """Return instructions for installing a missing module."""
     package = module.partition(".")[0]
     if package in _NOT_ON_A_ROBOT:
         packages = " and ".join(_NOT_ON_A_ROBOT)
@@ -170,7 +170,7 @@ def what_to_install(module: str) -> str:
 
 
 def _open_standard_streams() -> None:
-    """Open what was closed (`>&-`): a file that is opened later would else be number 1, and hold what C code prints."""
+    """Open standard streams that were closed (`>&-`), or the next opened file gets number 1 and receives C output."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -181,7 +181,7 @@ def _open_standard_streams() -> None:
 
 
 def _discard_output() -> None:
-    """Let what cannot be written any more go nowhere: the interpreter would complain of it again at its end."""
+    """Redirect output that can no longer be written to /dev/null, so the interpreter does not complain at exit."""
     if sys.stdout is None:
         return
     try:

@@ -1,13 +1,13 @@
-"""The base of every error that is meant for a user, and any error in one line."""
+"""Base class of errors meant for users, and one-line formatting of any error."""
 
 _LONGEST = 300
 
 
 class CtrlRlError(Exception):
-    """An error that a user can fix: the message names the file, key or value, and says what to do.
+    """An error that a user can fix: the message names the file, key or value and the remedy.
 
-    Commands and nodes print the message alone, without a traceback, and exit with a non-zero code. What cannot be
-    printed is escaped: a message may repeat a name that somebody has sent.
+    Commands and nodes print only the message, without a traceback, and exit with a non-zero code. Unprintable
+    characters are escaped, because a message may contain a name received from outside.
     """
 
     def __str__(self) -> str:
@@ -15,14 +15,14 @@ class CtrlRlError(Exception):
 
 
 def printable(text: str) -> str:
-    """Return a text whose letters, line breaks apart, can be printed anywhere: others are escaped."""
+    """Escape all characters of a text that cannot be printed, except line breaks."""
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() or each == "\n" else ascii(each)[1:-1] for each in text)
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error in one short line of printable text, its type included where the message is not the suite's."""
+    """Format an error as one short printable line, with its type unless it is a `CtrlRlError`."""
     text = " ".join(str(error).split())
     if not isinstance(error, CtrlRlError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,8 +1,8 @@
-"""Pages of `--help`, kept between calls: a command's options take a second of imports, its page a tenth.
+"""Cached `--help` pages: importing a command's options takes a second, printing its page a tenth.
 
-A page is what the executable itself has printed, for as long as no file of the workspace's packages and no installed
-package has changed. `compile`, which the build calls, prints each once. The width is the same everywhere, so that one
-page serves each terminal.
+A page is the output of the executable itself and stays valid until a file of the workspace's packages or an installed
+package changes. `compile`, which the build calls, prints each page once. The width is fixed, so one page serves every
+terminal.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ctrl_rl_core.io.atomic_write import atomic_write
 WORDS = frozenset(("-h", "--help"))
 _COLUMNS = "100"
 _ROOTS = ("ctrl_rl", "sim_bridge", "ttr_", "oc_", "koopman_", "option_")
-"""Beginnings of the names of this workspace's packages."""
+"""Name prefixes of this workspace's packages."""
 
 
 def keep_page(executable: Path, door: Callable[[], int]) -> None:
-    """Print the help of an executable to nowhere, so that its page is kept.
+    """Run an executable's help with the output discarded, so that the page is cached.
 
     Args:
-        executable: Its file, as `ros2 run` starts it.
-        door: Its door, see `ctrl_rl_core.entry`.
+        executable: Its file, as started by `ros2 run`.
+        door: Its entry point, see `ctrl_rl_core.entry`.
     """
     words, sys.argv = sys.argv, [str(executable), "--help"]
     try:
@@ -41,10 +41,10 @@ def keep_page(executable: Path, door: Callable[[], int]) -> None:
 
 
 def help_page(work: Callable[[], int]) -> int:
-    """Return the exit code of an executable; if it is only asked for its help, print the page that was kept.
+    """Run an executable and return its exit code; if only help is requested, print the cached page instead.
 
     Args:
-        work: Runs the executable with the process's words.
+        work: Runs the executable with the process's arguments.
     """
     if not WORDS.intersection(sys.argv[1:]):
         return work()
@@ -57,7 +57,7 @@ def help_page(work: Callable[[], int]) -> int:
 
 
 def _kept(place: Path) -> str | None:
-    """Return the page in a file, if it is there and still holds."""
+    """Return the cached page from a file, or None if it is missing or outdated."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         page = json.loads(place.read_text(encoding="utf-8"))
         if page["stamp"] == _stamp(page["packages"]):
@@ -87,14 +87,14 @@ def _render(work: Callable[[], int], place: Path) -> int:
 
 
 def _place() -> Path:
-    """Return the file of the page of this process's words."""
+    """Return the cache file for this process's arguments."""
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     words = "\0".join((os.path.abspath(sys.argv[0]), *sys.argv[1:]))
     return Path(base) / "ctrl_rl" / "help" / f"{hashlib.sha256(words.encode()).hexdigest()[:24]}.json"
 
 
 def _stamp(packages: list[str]) -> str:
-    """Return the digest of names and times of the files of packages, and of the folders where others are installed."""
+    """Return a digest of the names and times of package files and of the folders of installed packages."""
     digest = hashlib.sha256(sys.version.encode())
     for folder in filter(os.path.isdir, sys.path[1:]):  # the first is that of the executable
         digest.update(f"{folder} {os.stat(folder).st_mtime_ns}\n".encode())

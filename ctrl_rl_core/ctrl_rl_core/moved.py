@@ -1,4 +1,4 @@
-"""Commands that moved to `ctrl_rl_bags`: the old names still work; `entry` prints the new ones."""
+"""Commands that moved to `ctrl_rl_bags`; the old names still work, and `entry` prints the new ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Old names of commands and options: they still work and say the new ones."""
+"""Old names of commands and options; they still work, with a notice of the new names."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 
 def note_old_name(program: str, old: str, new: str) -> None:
-    """Say that an old name was used, and what to use now."""
+    """Print a notice that an old name was used, with its replacement."""
     print(f"{program}: {old} still works; its new name is {new}", file=sys.stderr)
 
 
 def with_new_names(program: str, arguments: Sequence[str] | None, renamed: Mapping[str, str]) -> list[str]:
-    """Return the words of a command line with the present names of options, and say which were old.
+    """Replace old option names in a command line by current ones, and return the old names found.
 
     Args:
         program: Name of the command in messages.
-        arguments: Words of the command line; those of the process unless given.
-        renamed: Present names of options by their old ones.
+        arguments: Command-line arguments; those of the process by default.
+        renamed: Maps old option names to current ones.
     """
     out = []
     for word in sys.argv[1:] if arguments is None else arguments:
@@ -30,7 +30,7 @@ def with_new_names(program: str, arguments: Sequence[str] | None, renamed: Mappi
 
 
 def make_old_command(program: str, new: str, command: Callable[..., int]) -> Callable[..., int]:
-    """Return a command under an old name, which says the new one."""
+    """Return a command that runs under an old name and prints the new one."""
 
     def old_command(arguments: Sequence[str] | None = None) -> int:
         note_old_name(program, program, new)

@@ -1,4 +1,4 @@
-"""Parts that installed packages offer by entry points, by group and name."""
+"""Entry points offered by installed packages, by group and name."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ Part = TypeVar("Part")
 
 
 def find_plugins(group: str) -> dict[str, EntryPoint]:
-    """Return what the installed packages offer in a group, sorted by name."""
+    """Return the entry points of a group, sorted by name."""
     return {entry.name: entry for entry in sorted(entry_points(group=group))}
 
 
 def load_plugin(entry: EntryPoint, kind: type[Part], noun: str, error: type[CtrlRlError]) -> Part:
-    """Import what an entry point names.
+    """Load the object that an entry point names.
 
     Args:
         entry: Entry point of an installed package.
-        kind: Class that it has to be of.
-        noun: Noun that messages call it by.
-        error: Error to raise.
+        kind: Required class of the object.
+        noun: Noun for the object in messages.
+        error: Error class to raise.
 
     Raises:
-        CtrlRlError: The package cannot be imported, or offers something else; of the type `error`.
+        CtrlRlError: The package cannot be imported, or its object is of another class; raised as `error`.
     """
     offered = f"{noun} '{entry.name}' ({entry.value})"
     try:

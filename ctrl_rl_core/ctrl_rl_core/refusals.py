@@ -1,4 +1,4 @@
-"""Why tyro refuses a command line, in one line."""
+"""One-line reasons for command lines that tyro refuses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tyro._errors import (
 
 
 def reason_of(event: ParseErrorEvent) -> str:
-    """Return the reason of a refused command line as one line, or nothing where tyro has one of its own."""
+    """Return the reason for a refused command line as one line, or "" if tyro prints its own."""
     match event:
         case MissingArgs(missing_arguments=missing, unrecognized_tokens=[]):
             return f"missing {', '.join(each.arg.display_name() for each in missing)}"
@@ -34,6 +34,6 @@ def reason_of(event: ParseErrorEvent) -> str:
 
 
 def _last_reason(message: str) -> str:
-    """Return the last reason of a message; for an option that may be None tyro gives one a line, after each type."""
+    """Return the last reason in a message; for an optional option, tyro prints one line per type."""
     *before, last = message.strip().splitlines()
     return last.rpartition("]: ")[2] if before else last

@@ -1,4 +1,4 @@
-"""The end of a drive: its episode has an outcome, or the robot has gone as far as it may. Pure logic."""
+"""Detects the end of a drive: its episode has an outcome, or the distance limit is reached. No ROS."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import math
 from ctrl_rl_core.tasks.outcome import Outcome
 
 ENDED = "the drive is over: "
-"""First words of every reason of this module."""
+"""Prefix of every reason returned by this module."""
 _LONGEST_STEP_S = 1.0
 _NOISE, _LEAP = 0.02, 1.0
-"""Way of a pose that may be noise, and from which on it has another origin instead [m]."""
+"""Position change below which motion may be noise, and above which the odometry origin has jumped [m]."""
 
 
 class Arrival:
-    """Tells why a robot that has arrived must stand.
+    """Decides when a robot must stop because its drive has ended.
 
     Attributes:
-        max_distance: Distance after which the robot stands [m]; 0 for none.
-        travelled: Distance by odometry since the drive began, the larger of its pose's and its twist's [m].
+        max_distance: Distance after which the robot stops [m]; 0 for no limit.
+        travelled: Distance driven so far [m]: the larger of the pose-based and the twist-based odometry distance.
     """
 
     def __init__(self, max_distance: float) -> None:
-        """Begin a drive."""
+        """Start a drive."""
         self.max_distance = max_distance
         self._outcome = Outcome.RUNNING
         self._episode: int | None = None
@@ -31,11 +31,11 @@ class Arrival:
         self.begin()
 
     def begin(self) -> None:
-        """Count the distance from here."""
+        """Reset the travelled distance."""
         self.travelled = self._by_pose = self._by_twist = 0.0
 
     def episode(self, number: int, outcome: int) -> None:
-        """Note number and outcome of an episode, as in EpisodeStatus; a new episode begins a new drive."""
+        """Record the number and outcome of an episode, as in EpisodeStatus; a new episode starts a new drive."""
         known = {value.value for value in Outcome}
         new = Outcome(outcome) if outcome in known else Outcome.RUNNING
         if number != self._episode or (new is Outcome.RUNNING and self._outcome is not Outcome.RUNNING):
@@ -43,7 +43,7 @@ class Arrival:
         self._episode, self._outcome = number, new
 
     def moved(self, now: float, speed: float) -> None:
-        """Note the speed [m/s] by odometry at the time of a scan [s]; gaps longer than a second do not count."""
+        """Integrate the odometry speed [m/s] at a scan time [s]; gaps longer than one second are skipped."""
         step = now - self._last
         self._last = now
         if 0.0 < step <= _LONGEST_STEP_S and math.isfinite(speed):
@@ -51,7 +51,7 @@ class Arrival:
             self.travelled = max(self._by_pose, self._by_twist)
 
     def went(self, x: float, y: float) -> None:
-        """Note a position by odometry [m]: some bases publish a right pose and a twist of zero."""
+        """Add a position from odometry [m]; some bases publish a correct pose with a zero twist."""
         step = math.dist(self._place or (x, y), (x, y))
         if self._place is not None and step < _NOISE:
             return
@@ -61,7 +61,7 @@ class Arrival:
             self.travelled = max(self._by_pose, self._by_twist)
 
     def reason(self) -> str:
-        """Return why the robot must stand, empty while the drive goes on."""
+        """Return the reason to stop, or "" while the drive continues."""
         if self._outcome is not Outcome.RUNNING:
             return f"{ENDED}{self._outcome.words} (episode {self._episode})"
         if 0.0 < self.max_distance <= self.travelled:

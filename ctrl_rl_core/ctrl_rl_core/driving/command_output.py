@@ -1,6 +1,6 @@
-"""Where a node's commands go: cmd_vel of a robot on wheels, or rotor_thrusts of a planar quadrotor.
+"""Outputs for a node's commands: cmd_vel for a wheeled robot, rotor_thrusts for a planar quadrotor.
 
-Another node that commands the robot on the same topic would drive it round the checks of one of them: a rival.
+A rival is another node that commands the robot on the same topic, and so bypasses this node's checks.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ Array = NDArray[np.float64]
 _OWN_IN_FLIGHT = 50
 _DEPTH = 10
 _UNNAMED_S = 1.0
-"""Time for which a foreign command stops the robot whose publisher is not known, yet or any more [s]."""
+"""Time for which a foreign command from an unidentified publisher stops the robot [s]."""
 _Key = tuple[int, int, float, float, float, float, float, float]
 
 
 class Rivals:
-    """Hears what goes to a robot, and tells commands of other nodes from those of its own.
+    """Monitors the command topic for commands from other nodes.
 
-    A publisher that is silent, such as a watchdog that was killed a moment ago, is no rival. One that has sent a
-    command stays one until it has gone. A zero counts, too: of two watchdogs on one robot, the one behind a filter that
-    holds the robot sends zeros, and the other must not drive round it.
+    A silent publisher, such as a watchdog killed a moment ago, is not a rival. A publisher that has sent a command
+    remains a rival until it disappears. Zero commands count too: if two watchdogs share a robot and one sits behind a
+    filter that stops it, that watchdog sends zeros, and the other must not bypass it.
 
     Args:
         node: Node that publishes commands.
-        kind: Type of its messages, TwistStamped or Twist.
-        topic: Topic of its commands, remapped names resolved by ROS.
-        on_rival: Function that is called when another node begins to send commands; it must stop the robot.
+        kind: Message type, TwistStamped or Twist.
+        topic: Command topic, with ROS remappings resolved.
+        on_rival: Called when another node starts sending commands; must stop the robot.
     """
 
     def __init__(self, node: SuiteNode, kind: Any, topic: str, on_rival: Callable[[], None]) -> None:
@@ -51,11 +51,11 @@ class Rivals:
         self._topic = node.create_subscription(kind, topic, self._hear, _DEPTH).topic_name
 
     def sent(self, message: TwistStamped | Twist) -> None:
-        """Note a command of this node, before anything else is handled."""
+        """Record a command of this node; call it before handling any other message."""
         self._own.append(_key(message))
 
     def fault(self) -> str:
-        """Return who else commands the robot; empty where nobody does."""
+        """Return the names of other nodes that command the robot; empty if there are none."""
         if self._heard_at is None:
             return ""
         names = self._node.other_publishers(self._topic)
@@ -75,7 +75,7 @@ class Rivals:
 
 
 def _key(message: TwistStamped | Twist) -> _Key:
-    """Return stamp and components of a command."""
+    """Return the stamp and components of a command, which identify it."""
     stamped = isinstance(message, TwistStamped)
     twist, stamp = (message.twist, message.header.stamp) if stamped else (message, None)
     linear, angular = twist.linear, twist.angular
@@ -84,12 +84,12 @@ def _key(message: TwistStamped | Twist) -> _Key:
 
 
 class CommandOutput(ABC):
-    """A publisher of commands (2,) with one message object for all, because making one takes as long as a decision.
+    """Publishes commands (2,), reusing one message object because creating one takes as long as a decision.
 
     Attributes:
         header: Header of the message.
         publisher: Publisher of the topic.
-        rest: Command of a robot that has nothing to do (2,).
+        rest: Idle command (2,).
         units: Units of the two numbers of a command.
     """
 
@@ -103,14 +103,14 @@ class CommandOutput(ABC):
 
     @abstractmethod
     def fill(self, first: float, second: float) -> None:
-        """Write the two numbers of a command into the message."""
+        """Write a command (2,) into the message."""
 
     def make_rivals(self, node: SuiteNode, on_rival: Callable[[], None]) -> Rivals | None:  # noqa: ARG002
-        """Return who else commands the robot; None where nobody listens for that. See `Rivals`."""
+        """Return a monitor for other command publishers, or None if this output has none; see `Rivals`."""
         return None
 
     def send(self, command: Array, stamp: Stamp) -> Any:
-        """Publish a command (2,), and return its message."""
+        """Publish a command (2,) and return the message."""
         self.header.stamp = stamp
         self.fill(*command.tolist())
         self.publisher.publish(self._message)
@@ -118,7 +118,7 @@ class CommandOutput(ABC):
 
 
 class VelocityOutput(CommandOutput):
-    """Speed [m/s] and turn rate [rad/s] on cmd_vel; the robot rests at zero."""
+    """Publishes speed [m/s] and turn rate [rad/s] on cmd_vel; the idle command is zero."""
 
     units = ("m/s", "rad/s")
 
@@ -128,7 +128,7 @@ class VelocityOutput(CommandOutput):
         super().__init__(node, "cmd_vel", message, message.header if stamped else Header(), np.zeros(2))
 
     def make_rivals(self, node: SuiteNode, on_rival: Callable[[], None]) -> Rivals:
-        """Return who else commands the robot."""
+        """Return a monitor for other command publishers."""
         return Rivals(node, type(self._message), "cmd_vel", on_rival)
 
     def fill(self, first: float, second: float) -> None:
@@ -137,7 +137,7 @@ class VelocityOutput(CommandOutput):
 
 
 class ThrustOutput(CommandOutput):
-    """Thrusts T_1 and T_2 [N] on rotor_thrusts; the robot rests at those that carry its weight."""
+    """Publishes thrusts T_1 and T_2 [N] on rotor_thrusts; the idle command is hover thrust."""
 
     units = ("N", "N")
 

@@ -1,4 +1,4 @@
-"""The base of nodes that stand between a driver and its robot, and say what happens when commands stop coming."""
+"""Base class of watchdogs: nodes between driver and robot that take over when commands stop coming."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from ctrl_rl_core.ros.parameters import Parameter
 
 _LAST_WORD = Duration(seconds=0.3)
 _LATEST_NS = 2**31 * 10**9 - 1
-"""The largest time that a stamp can hold."""
+"""Largest representable time stamp [ns]."""
 
 
 class CommandChannel(Protocol):
-    """What a watchdog passes on, and what it sends when that stops coming.
+    """Defines the commands that a watchdog forwards, and the idle command that it sends when they stop.
 
     Attributes:
-        topic: Topic of the robot's commands; the driver's is the same with _raw.
+        topic: Topic of the robot's commands; the driver publishes on the same name with the suffix _raw.
         message: Message type of both topics.
-        rest: Words for the command of rest.
-        rate: Rate of rest while no commands come [Hz].
-        repeat_for: Time for which it is sent [s]; 0 for ever.
-        alone: Whether another node's commands on the topic stop the robot.
-        hint: Advice where the driver publishes another type of message.
+        rest: Description of the idle command.
+        rate: Rate of idle commands during a silence [Hz].
+        repeat_for: Time for which idle commands are sent [s]; 0 for no limit.
+        alone: Whether commands of another node on the topic stop the robot.
+        hint: Advice shown if the driver publishes another message type.
     """
 
     topic: str
@@ -43,41 +43,41 @@ class CommandChannel(Protocol):
     hint: str
 
     def refuse(self, message: Any) -> str:
-        """Return why a command may not go to the robot, empty where it may."""
+        """Return the reason why a command must not reach the robot, or "" if it may."""
 
     def fill_rest(self, message: Any, silent_for: float | None) -> bool:
-        """Write the command of rest into a new message.
+        """Write the idle command into a new message.
 
         Args:
-            message: New message of the output, stamped where it has a header.
-            silent_for: Age of the last command that went to the robot [s]; None before the first.
+            message: Message to fill, stamped if it has a header.
+            silent_for: Age of the last forwarded command [s]; None before the first.
 
         Returns:
-            Whether it is to be sent.
+            Whether to send the message.
         """
 
     def consequence(self, silent_for: float) -> str:
-        """Return what the robot does without commands, after a silence that has lasted so long [s]."""
+        """Describe what the robot does after a silence of this duration [s]."""
 
 
 BASE_FRAME = Parameter("base_frame", "base_link", "Frame of what is sent before the first command.")
 
 
 class CommandWatchdog(SuiteNode):
-    """Passes commands on, and sends the robot's command of rest when they stop coming or make no sense.
+    """Forwards valid commands; sends the idle command when they stop or are invalid.
 
-    Time is wall time, even with use_sim_time. It must run as a process of its own, on the robot's own computer where
-    there is one. If this process itself dies, only the robot's base can stop it.
+    Timeouts use wall time, even with use_sim_time. Run the watchdog as a separate process, on the robot's own computer
+    if there is one. If the watchdog itself dies, only the robot's base can stop the robot.
     """
 
     SHARED_MEMORY = False
 
     def __init__(self, name: str, make_channel: Callable[[Mapping[str, Any]], CommandChannel]) -> None:
-        """Make the node.
+        """Create the node.
 
         Args:
             name: Name of the node.
-            make_channel: Makes what it passes on from the values of its parameters.
+            make_channel: Creates the channel from the parameter values.
         """
         super().__init__(name)
         self._channel = channel = make_channel(self.settings)
@@ -100,11 +100,11 @@ class CommandWatchdog(SuiteNode):
         self._send_rest()
 
     def on_callback_error(self, _error: Exception) -> None:
-        """Let the robot rest, because a command or a time-out may have been lost."""
+        """Send the idle command, because a command or a time-out may have been missed."""
         self._send_rest()
 
     def status(self) -> Status:
-        """Return whether commands pass, the age of the last one, and other publishers of the output."""
+        """Report whether commands pass, the age of the last one, and other publishers of the output."""
         age = self._watchdog.silent_for(time.monotonic())
         figures: dict[str, object] = {
             **self._counts,
@@ -126,12 +126,12 @@ class CommandWatchdog(SuiteNode):
         return warn("; ".join(problems), **figures) if problems else ok("passing commands on", **figures)
 
     def stop(self) -> None:
-        """Leave the robot at rest: that command has arrived before the publisher goes."""
+        """Send the idle command and wait until it is delivered before closing the publisher."""
         self._send_rest()
         self._output.wait_for_all_acked(_LAST_WORD)
 
     def on_suspend(self) -> None:
-        """Leave the robot at rest as at the end."""
+        """Send the idle command, as in `stop`."""
         self.stop()
 
     def _on_command(self, message: Any) -> None:
@@ -172,7 +172,7 @@ class CommandWatchdog(SuiteNode):
         self.get_logger().warning(f"stopping: no usable command on {topic} for {timeout:g} s")
 
     def _send_rest(self) -> None:
-        """Send the command of rest."""
+        """Send the idle command."""
         rest = self._channel.message()
         if self._stamped:
             rest.header.stamp, rest.header.frame_id = self._driver_time(), self._frame
@@ -186,16 +186,15 @@ class CommandWatchdog(SuiteNode):
             self._others.sent(message)
 
     def _lag_of(self, stamp: Stamp) -> int:
-        """Return the lag of a command's stamp behind this node's clock [ns]; zero without a stamp."""
+        """Return how far a command's stamp lags behind this node's clock [ns]; zero without a stamp."""
         sent = Time.from_msg(stamp).nanoseconds
         return self.get_clock().now().nanoseconds - sent if sent > 0 else 0
 
     def _driver_time(self) -> Stamp:
-        """Return this node's time on the clock of the last command's stamp.
+        """Return this node's time, converted to the clock of the last command's stamp.
 
-        A driver may stamp a command with the time of its scan, or by another clock. A command
-        of rest stamped with this node's own time would then lie ahead of the command after it, and the topic's clock
-        would seem to be set back.
+        A driver may stamp a command with the time of its scan, or use another clock. An idle command stamped with this
+        node's own clock could be newer than the next command, so time on the topic would appear to jump back.
         """
         now = self.get_clock().now().nanoseconds - self._stamp_lag_ns
         return Time(nanoseconds=min(max(now, 0), _LATEST_NS)).to_msg()
@@ -204,7 +203,7 @@ class CommandWatchdog(SuiteNode):
         return "" if self._others is None else self._others.fault()
 
     def _look_around(self) -> tuple[str, ...]:
-        """Return the other publishers of the output; log them when they change."""
+        """Return the other publishers of the output, and log changes."""
         rivals, topic = self.other_publishers(self._output.topic_name), self._channel.topic
         if rivals != self._rivals and rivals:
             self.get_logger().warning(
@@ -215,9 +214,9 @@ class CommandWatchdog(SuiteNode):
         return rivals
 
     def _look_at_senders(self) -> tuple[str, ...]:
-        """Return who publishes on the input; log them when there come to be several: each may move the robot.
+        """Return the publishers of the input, and log it when there are several: each may move the robot.
 
-        It is no fault yet: one that was killed counts until the middleware misses it.
+        Several publishers are not yet a fault, because a killed process is listed until the middleware notices.
         """
         senders = self.other_publishers(self._input.topic_name)
         if senders != self._senders and len(senders) > 1:

@@ -1,4 +1,4 @@
-"""What sends a robot's commands: one publisher, and a stop when an input is missing or wrong. A part of a node.
+"""Sends a robot's commands through one publisher; stops the robot on missing or invalid input.
 
 class Echo(SuiteNode):
     PARAMETERS = (*VELOCITY_PARAMETERS, Parameter("scan_timeout", 0.3, "Age of stale odometry [s].", 0.05, 10.0))
@@ -46,32 +46,32 @@ VELOCITY_PARAMETERS = (
     ),
 )
 _SOME_BASE = "base_link"
-"""The frame of the commands until odometry names one."""
+"""Frame of the commands until odometry provides one."""
 _LAST_WORD = Duration(seconds=0.3)
 
 
 class VelocityError(CtrlRlError):
-    """No velocity may be sent, so the robot must stop; the message is the reason."""
+    """No velocity may be sent, so the robot must stop; the message gives the reason."""
 
 
 class Commander:
-    """Sends one robot's commands: finite, within limits, zero without recent input and when the node stops.
+    """Sends one robot's commands: finite, within limits, and zero when inputs are stale or the node stops.
 
-    With another output, zero stands for the command of a robot that has nothing to do. In a dry run everything happens
-    but the sending. Its node is a `DriverNode`, or hands it what happens: `on_callback_error` to `fail`, a changed
-    parameter to `use_parameter`, `stop` and `on_suspend` to `stop`.
+    With another output, the idle command replaces zero. A dry run does everything except publish. A `DriverNode` makes
+    these connections; any other node must call `fail` from `on_callback_error`, `use_parameter` on a parameter change,
+    and `stop` from `stop` and `on_suspend`.
 
     Attributes:
         output: Publisher of the commands.
         low: Lower limits of speed [m/s] and turn rate [rad/s] (2,).
         high: Upper limits of speed [m/s] and turn rate [rad/s] (2,).
-        problem: The reason why the robot stands; empty while it drives.
+        problem: Reason why the robot is stopped; empty while it drives.
         counts: Numbers of commands, of stops, and of checks that found a stale input.
-        moving: Whether the last command that was sent moves the robot.
-        timeout: Age of an input that stops the robot [s].
-        limit: Returns the safe part of a command (2,), and the reason where it is less than the whole; VelocityError
-            where the robot must stop. Replace it where commands are checked.
-        stopping: Returns the command (2,) of a robot that must stop; replace it where another one stops it more safely.
+        moving: Whether the last command sent moves the robot.
+        timeout: Input age that stops the robot [s].
+        limit: Returns the safe part of a command (2,) and the reason for any reduction; raises VelocityError if the
+            robot must stop. Replace it to check commands.
+        stopping: Returns the stop command (2,); replace it if another command stops the robot more safely.
         on_halt: Called with the command and the reason after each halt.
         on_stale_input: Called with the reason after a stale input has stopped the robot.
     """
@@ -83,9 +83,9 @@ class Commander:
 
         Args:
             node: Node with `VELOCITY_PARAMETERS`, whose timers and publisher are used.
-            needs: Names of the inputs without which the robot stops, as in "no recent NAME".
-            timeout: Name of the parameter with the age of an input that stops the robot [s].
-            output: Publisher of the commands; cmd_vel unless given.
+            needs: Names of the required inputs, as they appear in "no recent NAME".
+            timeout: Name of the parameter that holds the input timeout [s].
+            output: Publisher of the commands; cmd_vel by default.
         """
         self.node, self.settings = node, node.settings
         self.output = output or VelocityOutput(node, node.settings["enable_stamped_cmd_vel"])
@@ -115,7 +115,7 @@ class Commander:
         node.create_timer(0.5 * self.timeout, self._watch, clock=self.clock)
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Set lower and upper limits of speed [m/s] and turn rate [rad/s], (2,) each.
+        """Set the lower and upper limits of speed [m/s] and turn rate [rad/s], (2,) each.
 
         Raises:
             VelocityError: A limit is not finite, or a lower one exceeds the upper one.
@@ -127,39 +127,39 @@ class Commander:
         self.low, self.high = least, largest
 
     def use_frame(self, name: str) -> None:
-        """Send commands in this frame, unless the parameter base_frame names another."""
+        """Send commands in this frame, unless the parameter `base_frame` names another."""
         if name and not self.settings["base_frame"]:
             self.output.header.frame_id = name
 
     @property
     def frame(self) -> str:
-        """The frame of the commands."""
+        """Frame of the commands."""
         return str(self.output.header.frame_id)
 
     def now(self) -> float:
-        """Return the time on the clock that ages are measured on [s]."""
+        """Return the current time on the clock used for input ages [s]."""
         return float(self.clock.now().nanoseconds) * 1e-9
 
     def note_input(self, what: str) -> None:
-        """Note that a usable input has just arrived."""
+        """Record that a usable input has just arrived."""
         self._heard[what], self._heard_at[what] = self.clock.now(), time.monotonic()
 
     def age(self, what: str) -> float:
-        """Return the age of an input [s]; infinite before the first, and where it is overdue in wall time."""
+        """Return the age of an input [s]; infinite before the first message and when it is overdue in wall time."""
         at = self._heard[what]
         if at is None or time.monotonic() - self._heard_at[what] > self._wall_timeout:
             return math.inf
         return self._elapsed(at)
 
     def stale_input(self) -> str:
-        """Return "no recent ..." of the first input that is too old, empty where none is."""
+        """Return "no recent ..." for the first stale input, or "" if none is stale."""
         return next((f"no recent {what}" for what in self._heard if self.age(what) > self.timeout), "")
 
     def clip(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a command (2,), cut off at the limits.
+        """Clip a command (2,) to the limits.
 
         Raises:
-            VelocityError: It is not finite.
+            VelocityError: The command is not finite.
         """
         v, omega = command.tolist()
         if not (math.isfinite(v) and math.isfinite(omega)):
@@ -168,16 +168,16 @@ class Commander:
         return np.minimum(np.maximum(command, self.low), self.high)
 
     def drive(self, command: NDArray[np.float64], stamp: Stamp | None = None) -> NDArray[np.float64]:
-        """Send speed [m/s] and turn rate [rad/s] (2,), cut off at the limits, and return what was sent.
+        """Clip speed [m/s] and turn rate [rad/s] (2,) to the limits, send them, and return the command sent.
 
-        While a callback fails, the robot stands: an input may be unknown, or a timer not watched.
+        While a callback is failing, the robot is stopped: an input may be missing, or a timer not running.
 
         Args:
-            command: The command; zeros for a robot that has nothing to do.
-            stamp: Time of the input that it answers; now unless given.
+            command: Command (2,); zeros if the robot has nothing to do.
+            stamp: Time of the input that the command answers; now by default.
 
         Raises:
-            VelocityError: The command is not finite, or not safe; nothing was sent, and the robot must stop.
+            VelocityError: The command is not finite or not safe; nothing was sent, and the robot must stop.
         """
         if self.node.faults.failing:
             self.halt(f"callback failed: {self.node.faults.last}", stamp)
@@ -194,11 +194,11 @@ class Commander:
         return command
 
     def halt(self, problem: str, stamp: Stamp | None = None) -> None:
-        """Send zero velocity, or what `stopping` says instead, and log the reason when it changes.
+        """Send the command from `stopping` (zero velocity by default), and log the reason when it changes.
 
         Args:
-            problem: The reason, for the log and for `diagnostics`.
-            stamp: Time of the input that it answers; now unless given.
+            problem: Reason, for the log and for `diagnostics`.
+            stamp: Time of the input that the command answers; now by default.
         """
         command = self.stopping()
         if not self.settings["dry_run"]:
@@ -207,26 +207,26 @@ class Commander:
         self.on_halt(command, problem)
 
     def rival(self) -> str:
-        """Return who else commands the robot; empty where nobody does."""
+        """Return the names of other nodes that command the robot; empty if there are none."""
         return "" if self._others is None else self._others.fault()
 
     def fail(self) -> None:
-        """Stop the robot until each callback that failed has run again."""
+        """Stop the robot until every failed callback has succeeded again."""
         self.halt(f"callback failed: {self.node.faults.last}")
 
     def use_parameter(self, name: str) -> None:
-        """Apply a changed parameter; when a dry run begins the robot stops, as it must not keep the last command."""
+        """Apply a changed parameter; starting a dry run stops the robot, or it would keep its last command."""
         if name == "dry_run" and self.settings["dry_run"] and self.moving:
             self._send(self.output.rest, None)
 
     def stop(self) -> None:
-        """Leave the robot standing: the zero velocity has arrived before the publisher goes."""
+        """Stop the robot, and wait until the zero velocity is delivered before closing the publisher."""
         if not self.settings["dry_run"]:
             self._send(self.output.rest, None)
             self.output.publisher.wait_for_all_acked(_LAST_WORD)
 
     def status(self) -> Status:
-        """Return whether commands are sent, and the names of other publishers."""
+        """Report whether commands are sent, and the names of other publishers."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
         figures: dict[str, object] = {**self.counts, "other publishers": ", ".join(self._look_for_rivals())}
         if self._rivals:
@@ -235,7 +235,7 @@ class Commander:
         return warn(f"{dry}{self.problem}", **figures) if self.problem else ok(f"{dry}driving", **figures)
 
     def _watch(self) -> None:
-        """Stop the robot when an input stays away."""
+        """Stop the robot when an input times out."""
         if self._elapsed(self._begun) <= self.timeout:
             return  # the inputs of a node that starts have some time to arrive
         problem = self.stale_input()
@@ -245,7 +245,7 @@ class Commander:
             self.on_stale_input(problem)
 
     def _say(self, problem: str) -> None:
-        """Set the reason to stop, empty for none; a change of its figures alone is not logged."""
+        """Set the reason for stopping, empty for none; changes of its numbers alone are not logged."""
         if problem:
             self.counts["stopped"] += 1
             if _kind(problem) != _kind(self.problem):
@@ -253,19 +253,19 @@ class Commander:
         self.problem = problem
 
     def _watch_wall(self) -> None:
-        """Stop a moving robot when an input is overdue while the simulated clock stands still."""
+        """Stop a moving robot when an input is overdue in wall time while the simulated clock stands still."""
         problem = self.stale_input() if self.moving else ""
         if problem:
             self.counts["stale"] += 1
             self.halt(f"{problem} in {self._wall_timeout:g} s of wall time: is the simulation paused?")
 
     def _on_rival(self) -> None:
-        """Stand as soon as another node commands the robot."""
+        """Stop as soon as another node commands the robot."""
         if self.moving and not self.settings["dry_run"]:
             self.halt(self.rival())
 
     def _look_for_rivals(self) -> tuple[str, ...]:
-        """Return the other publishers of cmd_vel; log them when they change."""
+        """Return the other publishers of cmd_vel, and log changes."""
         before, self._rivals = self._rivals, self.node.other_publishers(self.output.publisher.topic_name)
         if self._rivals and self._rivals != before:
             self.node.get_logger().warning(self._rivalry())
@@ -286,5 +286,5 @@ class Commander:
 
 
 def _kind(problem: str) -> str:
-    """Return a reason without its figures."""
+    """Return a reason with its numbers removed."""
     return "".join(letter for letter in problem if not letter.isdigit())

@@ -1,10 +1,10 @@
-"""One robot, one driver, one filter: how every episode is driven.
+"""Runs episodes with one robot, one driver and one filter.
 
     episodes = drive(robot, driver, filter, seeds=range(100))
     episodes.success, episodes.outcomes, episodes.seconds
 
-A robot has Gymnasium's form, so that any environment is one. What it shows its driver is `Sensors`, or whatever else an
-environment observes.
+A robot has Gymnasium's interface, so any environment can serve as one. The driver receives `Sensors`, or the
+environment's own observation.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ SeenIn = TypeVar("SeenIn", contravariant=True)
 
 
 class Driver(Protocol[SeenIn]):
-    """Decides: a policy, a controller, a navigator, an adversary."""
+    """Chooses commands: a policy, a controller, a navigator or an adversary."""
 
     def command(self, sensors: SeenIn, /) -> Command:
-        """Return the command (2,) for what the robot senses.
+        """Return the command (2,) for the current sensor readings.
 
         Raises:
-            CtrlRlError: There is none, so that the robot must stand; the message is the reason.
+            CtrlRlError: No command is available, so the robot must stop; the message gives the reason.
         """
 
 
 class FunctionDriver(Generic[Seen]):
-    """A function from what is sensed to a command, as a driver."""
+    """Wraps a function from sensor readings to commands as a driver."""
 
     def __init__(self, decide: Callable[[Seen], Any]) -> None:
         self._decide = decide
@@ -51,31 +51,31 @@ class FunctionDriver(Generic[Seen]):
 
 
 class Filter(Protocol[SeenIn]):
-    """Stands between driver and robot."""
+    """Modifies commands between driver and robot."""
 
     def __call__(self, sensors: SeenIn, command: Command, /) -> Command:
-        """Return the command (2,) to send in place of the driver's."""
+        """Return the command (2,) to send instead of the driver's."""
 
 
 class DrivenRobot(Protocol[SeenOut]):
-    """A robot in Gymnasium's form; one step holds a command for one period."""
+    """A robot with Gymnasium's interface; one step holds a command for one period."""
 
     def reset(self, *, seed: int) -> tuple[SeenOut, dict[str, Any]]:
-        """Begin an episode with a seed."""
+        """Start an episode with a seed."""
 
     def step(self, command: Any, /) -> tuple[SeenOut, Any, bool, bool, dict[str, Any]]:
-        """Hold a command; return sensors, reward, terminated, truncated and info, as Gymnasium does."""
+        """Hold a command for one period; return sensors, reward, terminated, truncated and info, as in Gymnasium."""
 
 
 class Step(NamedTuple, Generic[Seen]):
-    """One state of an episode, and how the robot came there.
+    """One state of an episode, and the command that led to it.
 
     Attributes:
-        sensors: Readings of the robot in that state, or the observation of an environment.
-        command: Command that was held until then (2,); None at the start.
-        reward: Reward for it.
-        info: Further facts of the state, as Gymnasium's `info`.
-        terminated: Whether the episode ended there, other than by being cut.
+        sensors: Sensor readings in that state, or the environment's observation.
+        command: Command held before that state (2,); None at the start.
+        reward: Reward of that command.
+        info: Further data on the state, as Gymnasium's `info`.
+        terminated: Whether the episode ended there, other than by truncation.
     """
 
     sensors: Seen
@@ -87,15 +87,15 @@ class Step(NamedTuple, Generic[Seen]):
 
 @dataclass(frozen=True)
 class Episode(Generic[Seen]):
-    """One episode.
+    """Result of one episode.
 
     Attributes:
-        seed: Seed of its start and of all noise.
+        seed: Seed of the start and of all noise.
         steps: Number of commands.
-        total: Sum of its rewards, the undiscounted return.
-        changed: Part of the commands that the filter changed.
-        info: The last step's `info`, with `outcome` if the robot reports one.
-        trace: All states from the start on; empty unless they were to be kept.
+        total: Undiscounted return.
+        changed: Fraction of the commands that the filter changed.
+        info: `info` of the last step, with `outcome` if the robot reports one.
+        trace: All states including the start; empty unless they were kept.
     """
 
     seed: int
@@ -107,17 +107,17 @@ class Episode(Generic[Seen]):
 
     @property
     def outcome(self) -> str:
-        """Name of its outcome; empty if the robot reports none."""
+        """Name of the outcome; empty if the robot reports none."""
         return str(self.info.get("outcome", ""))
 
     @property
     def states(self) -> Array:
-        """The true states (steps + 1, n), of an episode whose states were kept."""
+        """True states (steps + 1, n), if they were kept."""
         return np.array([step.info["state"] for step in self.trace])
 
 
 class Episodes(tuple[Episode[Seen], ...]):
-    """Episodes in seed order; each fact of theirs is an array with one element per episode."""
+    """Episodes in seed order; each property is an array with one element per episode."""
 
     __slots__ = ()
 
@@ -147,7 +147,7 @@ class Episodes(tuple[Episode[Seen], ...]):
 
     @property
     def changed(self) -> Array:
-        """Parts of the commands that the filter changed (N,)."""
+        """Fractions of the commands that the filter changed (N,)."""
         return np.array([each.changed for each in self], dtype=np.float64)
 
     @property
@@ -157,26 +157,26 @@ class Episodes(tuple[Episode[Seen], ...]):
 
     @property
     def distances(self) -> Array:
-        """Ways driven (N,) [m]."""
+        """Distances driven (N,) [m]."""
         return self._told("distance", np.float64)
 
     @property
     def avoidable(self) -> NDArray[np.bool_]:
-        """Whether an episode ended by a contact that the robot could have avoided (N,)."""
+        """Whether each episode ended in a contact that the robot could have avoided (N,)."""
         return self._told("avoidable", np.bool_)
 
     @property
     def success(self) -> float:
-        """Part of the episodes that reached the goal."""
+        """Fraction of the episodes that reached the goal."""
         return self.rate(Outcome.GOAL)
 
     @property
     def collisions(self) -> float:
-        """Part of the episodes that ended by a contact."""
+        """Fraction of the episodes that ended in a contact."""
         return self.rate(Outcome.COLLISION)
 
     def rate(self, outcome: Outcome) -> float:
-        """Return the part of the episodes that ended so."""
+        """Return the fraction of episodes with this outcome."""
         return self.outcomes.count(outcome.name) / max(len(self), 1)
 
     def _told(self, name: str, kind: Any) -> NDArray[Any]:
@@ -192,40 +192,40 @@ def drive(
     keep: bool = False,
     watch: Callable[[Step[Seen]], object] = lambda _: None,
 ) -> Episodes[Seen]:
-    """Drive one episode of each seed.
+    """Drive one episode per seed.
 
     Args:
         robot: Robot to drive, or any environment.
-        driver: Driver; it goes from episode to episode as it is.
-        filter: Filter of the driver's commands; None for none. A robot may have one of its own, whose ticks are shorter
-            than the driver's periods.
+        driver: Driver; its state carries over between episodes.
+        filter: Filter for the driver's commands, or None. A robot may have a filter of its own that runs at a higher
+            rate than the driver.
         seeds: Seeds of the episodes.
         keep: Whether each episode keeps its states.
-        watch: Function that is called in each state, the first and the last one included.
+        watch: Called in each state, including the first and the last.
     """
     return Episodes(_play(robot, driver, filter, seed, keep, watch) for seed in seeds)
 
 
 class Fleet(Protocol[SeenOut]):
-    """Robots that are driven side by side."""
+    """Robots that are driven in parallel."""
 
     def begin(self, seeds: Sequence[int], /) -> tuple[SeenOut, Array]:
-        """Begin an episode of each seed; return what all sense, and their states (N, n)."""
+        """Start one episode per seed; return all sensor readings and the states (N, n)."""
 
     def step(self, commands: Any, /) -> tuple[SeenOut, Array, Array, NDArray[np.intp]]:
-        """Hold a command of each; return what all sense then, states (N, n), rewards (N,) and outcomes (N,)."""
+        """Hold one command per robot; return sensor readings, states (N, n), rewards (N,) and outcomes (N,)."""
 
 
 def drive_fleet(
     fleet: Fleet[Seen], decide: Callable[[Seen], Any], seeds: Iterable[int], longest: int | None = None
 ) -> Episodes[None]:
-    """Drive one episode of each seed, all side by side until the last one has ended; they keep their states.
+    """Drive one episode per seed in parallel until the last one ends; all states are kept.
 
     Args:
         fleet: Robots to drive.
-        decide: Returns the commands of all for what they sense.
-        seeds: Seeds of the episodes, one for each robot.
-        longest: Number of steps after which episodes are left, still running; None for no limit.
+        decide: Returns the commands of all robots for their sensor readings.
+        seeds: Seeds of the episodes, one per robot.
+        longest: Maximum number of steps, after which running episodes are abandoned; None for no limit.
     """
     chosen = list(seeds)
     if not chosen:

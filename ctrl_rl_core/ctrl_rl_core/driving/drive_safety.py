@@ -1,8 +1,8 @@
-"""Limits a command by the last scan: by its health, its gaps, and the obstacles in it. Without ROS.
+"""Limits a command by the last scan: by its health, its gaps, and the obstacles in it. No ROS.
 
-A command (v, omega) sweeps the robot's disc along an arc. On the arc lie the way that the robot goes before anything
-can change, and the way that it brakes. Where an echo lies within the disc and its margin there, and nearer than it is
-now, the command is slowed, and where that does not help, only the turning is left of it.
+A command (v, omega) sweeps the robot's disc along an arc: first the distance covered before anything can change, then
+the braking distance. If an echo lies within the swept disc plus its margin, and closer than it is now, the command is
+slowed down; if that does not help, only its rotation is kept.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from ctrl_rl_core.sensing.sensors import Sensors
 Array = NDArray[np.float64]
 
 _PACES = (1.0, 0.7, 0.4)
-"""Parts of a command's speed that are tried; a slower robot needs less room."""
+"""Fractions of a command's speed to try; a slower robot needs less room."""
 _STEP = 0.04
-"""Distance between two checked places on the arc [m], at most."""
+"""Maximum distance between two checked positions on the arc [m]."""
 _TURN_STEP = 0.1
-"""Turn between two checked places [rad], at most: on a narrow arc the robot comes nearer between them, too."""
+"""Maximum turn between two checked positions [rad]: on a narrow arc the robot comes nearer between them, too."""
 _FARTHEST = 4.0
-"""Upper bound of the stopping distance [m], whatever odometry says."""
+"""Upper bound of the stopping distance [m], regardless of odometry."""
 _NEARER = 1e-3
 """Distance by which an echo must come nearer to count [m]: a robot beside a wall may go along it."""
 _STANDS = 1e-3
-"""Speed below which nothing is swept [m/s]: a disc that turns on the spot stays where it is."""
+"""Speed below which nothing is swept [m/s]: a disc that rotates in place covers no new area."""
 
 
 @dataclass(frozen=True)
 class ObstacleStop:
-    """Size and braking of a robot, which give the room that it needs.
+    """Size and braking capability of a robot, which determine the room that it needs.
 
     Attributes:
-        radius: Radius of the disc around the robot's middle that holds all of it [m]; 0 for no obstacle stop.
+        radius: Radius of the disc around the robot's centre that encloses the robot [m]; 0 disables the obstacle stop.
         margin: Additional distance to obstacles [m].
-        deceleration: Deceleration of its brakes [m/s^2].
+        deceleration: Braking deceleration [m/s^2].
         delay: Time from a command to its effect, plus the time until the next command [s].
     """
 
@@ -50,12 +50,12 @@ class ObstacleStop:
     delay: float
 
     def reach(self, speed: float, age: float) -> float:
-        """Return the stopping distance [m] at a speed [m/s], for a scan of some age [s]."""
+        """Return the stopping distance [m] at a speed [m/s], for a scan of the given age [s]."""
         room = speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
         return room if room < _FARTHEST else _FARTHEST  # of NaN, too
 
     def limit(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
-        """Return the safe part of a command (2,), and the reason where it is less than the whole.
+        """Return the safe part of a command (2,) and the reason for any reduction.
 
         Args:
             command: Speed [m/s] and turn rate [rad/s] (2,).
@@ -78,7 +78,7 @@ class ObstacleStop:
         return np.array((0.0, omega)), f"obstacle {distance:.2f} m {where}"
 
     def _hit(self, points: Array, room: float, curvature: float) -> float:
-        """Return the way [m] on an arc of some length [m] until the disc meets an echo; inf where it meets none."""
+        """Return the arc length [m] at which the disc meets an echo, up to a given length [m]; inf if there is none."""
         wide = self.radius + self.margin
         x, y = points[:, 0], points[:, 1]
         now = x * x + y * y
@@ -103,13 +103,13 @@ class DriveSafety:
     Args:
         health: Checks of the scans.
         obstacles: Braking distance and size of the robot.
-        forward: Position of the lidar ahead of the robot's middle [m].
+        forward: Position of the lidar ahead of the robot's centre [m].
         reach: Distance from the lidar beyond which echoes are ignored [m].
 
     Attributes:
         reach: Distance from the lidar beyond which echoes are ignored [m].
         view: Echoes of the last scan; None if the scan is unusable.
-        fault: Reason why the last scan allows no motion; empty if motion is allowed.
+        fault: Reason why the last scan forbids motion; empty if motion is allowed.
     """
 
     def __init__(self, health: ScanHealth, obstacles: ObstacleStop, forward: float, reach: float) -> None:
@@ -119,7 +119,7 @@ class DriveSafety:
         self._forward, self.reach = forward, reach
 
     def set_checks(self, health: ScanHealth, obstacles: ObstacleStop, reach: float) -> None:
-        """Replace the checks from the next scan on."""
+        """Replace the checks, starting with the next scan."""
         self._health, self._obstacles, self.reach = health, obstacles, reach
 
     def update(
@@ -131,7 +131,7 @@ class DriveSafety:
         scan: ScanGeometry,
         motion: tuple[float, float],
     ) -> None:
-        """Take a scan.
+        """Process a scan.
 
         Args:
             now: Steady time [s].
@@ -150,7 +150,7 @@ class DriveSafety:
         self.fault = self._health.update(now, self.view, ranges.tobytes(), stamp, identity, motion)
 
     def __call__(self, sensors: Sensors, command: Array) -> Array:
-        """Return the safe part of a command (2,); zeros where the scan allows no motion in its direction."""
+        """Return the safe part of a command (2,); zeros if the scan allows no motion in its direction."""
         v, omega = sensors.speeds
         if sensors.age == 0.0:
             self.update(sensors.time, round(1e9 * sensors.time), "scan", sensors.ranges, sensors.scan, (v, omega))
@@ -160,7 +160,7 @@ class DriveSafety:
             return np.zeros(2)
 
     def limit(self, command: Array, v: float, age: float) -> tuple[Array, str]:
-        """Return the safe part of a command (2,), and the reason where it is less than the whole.
+        """Return the safe part of a command (2,) and the reason for any reduction.
 
         Args:
             command: Speed [m/s] and turn rate [rad/s] (2,).

@@ -1,10 +1,10 @@
-"""Nodes that drive a robot: a robot on topics, a driver that answers its scans, and a filter between them.
+"""Nodes that drive a robot: a driver turns each scan into a command, and a filter checks it.
 
 class MyNode(DriverNode):
-PARAMETERS = (*DRIVER_PARAMETERS, Parameter("speed", 0.1, "Speed [m/s].", 0.0, 1.0))
+    PARAMETERS = (*DRIVER_PARAMETERS, Parameter("speed", 0.1, "Speed [m/s].", 0.0, 1.0))
 
-def __init__(self) -> None:
-super().__init__("my_node", MyDriver)      # class MyDriver(NodeDriver) with command(sensors)
+    def __init__(self) -> None:
+        super().__init__("my_node", MyDriver)      # class MyDriver(NodeDriver) with command(sensors)
 """
 
 from __future__ import annotations
@@ -47,72 +47,72 @@ MAX_DISTANCE = Parameter(
     1e6,
     live=True,
 )
-"""For drivers whose drive has an end; they stand, too, once a simulator's episode has an outcome."""
+"""For drivers whose drive has an end; they also stop once a simulated episode has an outcome."""
 _RECENT = 1000
 
 
 class RobotNode(SuiteNode):
-    """A node with one robot, which stands when the node fails, is suspended or ends.
+    """A node with one robot, which stops when the node fails, is suspended or ends.
 
     Attributes:
-        robot: The robot; whoever derives a class makes it in the constructor.
+        robot: The robot; created in the subclass's constructor.
     """
 
     SHARED_MEMORY = False
     robot: Commander
 
     def on_callback_error(self, _error: Exception) -> None:
-        """Stop the robot until each callback that failed has run again."""
+        """Stop the robot until every failed callback has succeeded again."""
         self.robot.fail()
 
     def on_parameter_changed(self, name: str) -> None:
-        """Apply a parameter of the robot."""
+        """Apply a changed robot parameter."""
         self.robot.use_parameter(name)
 
     def status(self) -> Status:
-        """Return whether commands are sent."""
+        """Report whether commands are sent."""
         return self.robot.status()
 
     def stop(self) -> None:
-        """Leave the robot standing."""
+        """Stop the robot."""
         self.robot.stop()
 
     def on_suspend(self) -> None:
-        """Leave the robot standing as at the end."""
+        """Stop the robot, as in `stop`."""
         self.robot.stop()
 
 
 class NodeDriver(Driver[Sensors]):
-    """A driver as a part of a `DriverNode`: a `Driver`, and what its node tells it.
+    """A `Driver` that receives additional inputs from its `DriverNode`.
 
     Attributes:
-        limits: Least and largest command (2,), (2,).
-        thrusts_at_rest: Thrusts that carry a quadrotor (2,) [N]; None for a robot on wheels.
+        limits: Minimum and maximum command (2,), (2,).
+        thrusts_at_rest: Hover thrusts of a quadrotor (2,) [N]; None for a wheeled robot.
     """
 
     limits: tuple[Array, Array]
     thrusts_at_rest: Array | None = None
 
     def on_sent(self, header: Header, command: Array, problem: str) -> None:
-        """Note a command after it was sent, or would have been in a dry run; nobody waits for it any more.
+        """Handle a command after it was sent (or suppressed by a dry run); time spent here delays nothing.
 
         Args:
-            header: Header of the scan; without scans, one with the present time.
+            header: Header of the scan, or one with the current time if the driver uses no scans.
             command: Speed [m/s] and turn rate [rad/s] (2,).
-            problem: Reason why the robot stands; empty while it drives.
+            problem: Reason why the robot is stopped; empty while it drives.
         """
 
     def on_odometry(self, message: Odometry) -> None:
-        """Take usable odometry."""
+        """Process usable odometry."""
 
     def on_episode(self, message: EpisodeStatus) -> None:
-        """Take the state of the simulator's episode."""
+        """Process the state of the simulated episode."""
 
     def use_parameter(self, name: str) -> None:
         """Apply a changed parameter.
 
         Raises:
-            CtrlRlError: The value does not serve.
+            CtrlRlError: The value is invalid.
         """
 
     def figures(self) -> Mapping[str, object]:
@@ -121,12 +121,12 @@ class NodeDriver(Driver[Sensors]):
 
 
 class DriverNode(RobotNode):
-    """Publishes one command for each scan; the robot stands where scan, odometry or decision are unfit.
+    """Publishes one command per scan; the robot stops if scan, odometry or decision are unusable.
 
     Attributes:
-        robot: Robot on topics.
-        driver: Driver that answers its scans.
-        filter: Filter of the driver's commands; None for none but the robot's own stop in front of obstacles.
+        robot: Robot, reached through its topics.
+        driver: Driver that turns its scans into commands.
+        filter: Filter of the driver's commands; None to use only the robot's own obstacle stop.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = DRIVER_PARAMETERS
@@ -138,12 +138,11 @@ class DriverNode(RobotNode):
         make_driver: Callable[[DriverNode], NodeDriver],
         filter: Filter[Sensors] | None = None,  # noqa: A002
     ) -> None:
-        """Make the node.
+        """Create the node.
 
         Args:
             name: Name of the node.
-            make_driver: Makes the driver from the node, whose settings are known by then; its robot
-                follows.
+            make_driver: Creates the driver from the node, after the settings are read and before the robot is created.
             filter: Filter of the driver's commands.
         """
         super().__init__(name)
@@ -163,7 +162,7 @@ class DriverNode(RobotNode):
             self.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
 
     def on_parameter_changed(self, name: str) -> None:
-        """Apply a parameter; a drive begins anew when its distance is set."""
+        """Apply a changed parameter; setting the distance limit starts a new drive."""
         if name == MAX_DISTANCE.name and self._arrival is not None:
             self._arrival.max_distance = self.settings[name]
             self._arrival.begin()
@@ -173,7 +172,7 @@ class DriverNode(RobotNode):
         self.robot.set_limits(*self.driver.limits)
 
     def status(self) -> Status:
-        """Return whether commands flow, and how quickly; a robot that stands because all is done is well."""
+        """Report whether commands flow, and their latency; a robot stopped at the end of its drive is healthy."""
         level, message, figures = self.robot.status()
         if self._latencies:
             p50, p99 = np.percentile(self._latencies, (50, 99)) * 1e3
@@ -185,7 +184,7 @@ class DriverNode(RobotNode):
         return level, message, {**figures, **self.driver.figures()}
 
     def _answer(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Answer a scan with a command."""
+        """Process a scan and send a command."""
         begin, header, robot = time.perf_counter(), message.header, self.robot
         try:
             sent = robot.drive(self._decide(seconds(header.stamp), ranges, scan), header.stamp)
@@ -199,10 +198,10 @@ class DriverNode(RobotNode):
         self.driver.on_sent(header, sent, robot.problem)
 
     def _decide(self, now: float, ranges: NDArray[np.float32], scan: ScanGeometry) -> Array:
-        """Return the command (2,) for a scan of a time [s].
+        """Return the command (2,) for a scan received at a time [s].
 
         Raises:
-            CtrlRlError: There is none: an input is unfit, or the drive is over.
+            CtrlRlError: No command is available: an input is unusable, or the drive has ended.
         """
         if fault := self.robot.input_fault():
             raise VelocityError(fault)
@@ -216,19 +215,19 @@ class DriverNode(RobotNode):
         return command if self.filter is None else self.filter(sensors, command)
 
     def _keep(self, message: Odometry, odometry: Array) -> None:
-        """Keep odometry for the next scan, and count the way by its pose."""
+        """Store odometry for the next scan, and add its position to the distance driven."""
         self._odometry = odometry
         if self._arrival is not None:
             self._arrival.went(float(odometry[0]), float(odometry[1]))
         self.driver.on_odometry(message)
 
     def _tell_stale(self, problem: str) -> None:
-        """Report that the robot stands without a scan to answer."""
+        """Report that the robot is stopped for lack of scans."""
         header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.robot.frame)
         self.driver.on_sent(header, self.robot.output.rest, problem)
 
     def _on_episode(self, message: EpisodeStatus) -> None:
-        """Stand at once where a simulator says that the episode is over: the next scan may be a while away."""
+        """Stop as soon as a simulated episode ends, because the next scan may be late."""
         assert self._arrival is not None
         self._arrival.episode(message.episode, message.outcome.value)
         over = self._arrival.reason()

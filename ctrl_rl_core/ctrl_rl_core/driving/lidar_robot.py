@@ -1,6 +1,6 @@
-"""A robot with a lidar on topics, as a part of a node: it stops on unusable scans and in front of obstacles.
+"""A robot with a lidar, as a component of a node: stops on unusable scans and in front of obstacles.
 
-Whatever a driver commands, `drive` sends only the part that is safe by the last scan.
+`drive` sends only the part of a driver's command that is safe according to the last scan.
 """
 
 from __future__ import annotations
@@ -83,26 +83,27 @@ SCAN_PARAMETERS = (
     ),
     *_SCAN_CHECKS,
 )
-"""Parameters without those of the obstacle stop, for a node that keeps clear of obstacles in its own way."""
+"""Parameters without the obstacle stop, for a node with its own collision avoidance."""
 LIDAR_PARAMETERS = (*SCAN_PARAMETERS, *_OBSTACLE_STOP)
 _CHECKED = {parameter.name for parameter in (*_SCAN_CHECKS, *_OBSTACLE_STOP)}
 _FASTER = 1.5
-"""A robot may be faster than its commands by this factor."""
+"""Factor by which a robot may exceed its commanded speed."""
 _LOOK_AROUND_S = 1.0
 """Time between two checks of the scan's publishers [s]; a query of the graph takes a fraction of a millisecond."""
 
 
 class LidarRobot(Commander):
-    """A robot with a lidar, on ROS topics: takes scan and odometry, sends only commands that the last scan shows safe.
+    """Receives scans and odometry of a robot with a lidar; sends only commands that the last scan shows to be safe.
 
     Attributes:
         motion: Speed [m/s] and turn rate [rad/s] by odometry.
-        safety: Checks of the last scan, with its echoes.
-        scans: Number of scans so far.
-        on_odometry: Called with each usable odometry, the message and its numbers (13,), see `ODOMETRY_NAMES`.
-        on_scan: Called with each scan, usable or not: the message, the ranges (beams,) [m], and the bearings and limits
-            of the beams in the robot's frame.
-        fault: Returns why something else allows no motion; empty where it does.
+        safety: Checks and echoes of the last scan.
+        scans: Number of scans received.
+        on_odometry: Called for each usable odometry message, with the message and its values (13,), see
+            `ODOMETRY_NAMES`.
+        on_scan: Called for each scan, usable or not, with the message, the ranges (beams,) [m], and the bearings and
+            limits of the beams in the robot's frame.
+        fault: Returns any other reason that forbids motion, or "" for none.
     """
 
     def __init__(
@@ -116,9 +117,9 @@ class LidarRobot(Commander):
 
         Args:
             node: Node with `LIDAR_PARAMETERS`, or with `SCAN_PARAMETERS`, without an obstacle stop.
-            timeout: Name of the parameter with the age of an input that stops the robot [s].
+            timeout: Name of the parameter that holds the input timeout [s].
             output: Publisher of the commands; cmd_vel by default.
-            reach: Distance from the lidar within which echoes matter [m]; by default that of the obstacle stop.
+            reach: Distance from the lidar within which echoes are used [m]; by default that of the obstacle stop.
         """
         super().__init__(node, ("scan", "odometry"), timeout, output)
         self.limit = self.limit_by_scan
@@ -136,11 +137,11 @@ class LidarRobot(Commander):
         node.create_timer(_LOOK_AROUND_S, self._look_around, clock=self._steady)
 
     def input_fault(self) -> str:
-        """Return why the inputs allow no motion; empty where they do."""
+        """Return the reason why the inputs forbid motion, or "" if they allow it."""
         return self.stale_input() or self._odometry_fault or self._crowd or self.safety.fault or self.fault()
 
     def limit_by_scan(self, command: Array) -> tuple[Array, str]:
-        """Return the safe part of a command (2,) by the last scan, and the reason where it is less than the whole.
+        """Return the part of a command (2,) that the last scan shows to be safe, and the reason for any reduction.
 
         Raises:
             VelocityError: No recent scan covers the direction of the command.
@@ -154,10 +155,10 @@ class LidarRobot(Commander):
             raise VelocityError(str(error)) from None
 
     def limit_by_inputs(self, command: Array) -> tuple[Array, str]:
-        """Return a command (2,) as it is, for a robot that obstacles do not stop.
+        """Return a command (2,) unchanged, for a node without an obstacle stop.
 
         Raises:
-            VelocityError: The inputs allow no motion.
+            VelocityError: The inputs forbid motion.
         """
         problem = self.input_fault()
         if problem:
@@ -165,26 +166,26 @@ class LidarRobot(Commander):
         return command, ""
 
     def use_parameter(self, name: str) -> None:
-        """Apply a changed parameter; checks of scans count from the next scan on."""
+        """Apply a changed parameter; scan checks take effect from the next scan on."""
         if name in _CHECKED:
             stop = self._obstacle_stop()
             self.safety.set_checks(self._scan_health(), stop, self._reach(stop))
         super().use_parameter(name)
 
     def set_limits(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Set the limits of the commands, and the range of echoes that the fastest of them needs."""
+        """Set the limits of the commands, and the echo range needed at the highest speed."""
         super().set_limits(low, high)
         self.safety.reach = self._reach(self._obstacle_stop())
 
     def status(self) -> Status:
-        """Return whether commands are sent, and the share of beams with an echo."""
+        """Report whether commands are sent, and the fraction of beams with an echo."""
         level, message, figures = super().status()
         view = self.safety.view
         share = "none" if view is None else f"{100 * view.share:.0f}"
         return level, message, {"scans": self.scans, **figures, "beams with an echo [%]": share}
 
     def _obstacle_stop(self) -> ObstacleStop:
-        """Return the stop in front of obstacles; none where the node keeps clear of them in its own way."""
+        """Return the obstacle stop, or None if the node avoids obstacles in its own way."""
         value = self.settings
         if "obstacle_margin" not in value:
             return ObstacleStop(0.0, 0.0, 1.0, 0.0)
@@ -193,7 +194,7 @@ class LidarRobot(Commander):
         )
 
     def _reach(self, stop: ObstacleStop) -> float:
-        """Return the distance from the lidar at which an echo may stop the robot [m]."""
+        """Return the maximum distance from the lidar at which an echo may stop the robot [m]."""
         if self._given_reach is not None:
             return self._given_reach
         top = float(np.abs((self.low[0], self.high[0])).max())
@@ -204,7 +205,7 @@ class LidarRobot(Commander):
         return ScanHealth(value["min_echo_share"], value["largest_gap"], value["frozen_scans"])
 
     def hear_odometry(self, message: Odometry) -> None:
-        """Take odometry; the robot stops where it cannot be used."""
+        """Process odometry; unusable odometry stops the robot."""
         self.use_frame(message.child_frame_id)
         self.note_input("odometry")
         try:
@@ -220,7 +221,7 @@ class LidarRobot(Commander):
         self.on_odometry(message, odometry)
 
     def hear_scan(self, message: LaserScan) -> None:
-        """Read a scan, bring the checks up to date with it, and pass it on."""
+        """Read a scan, update the checks and pass the scan on."""
         self.scans += 1
         self.note_input("scan")
         ranges, scan = read_scan(message, self.settings["lidar_yaw"])
@@ -229,6 +230,6 @@ class LidarRobot(Commander):
         self.on_scan(message, ranges, scan)
 
     def _look_around(self) -> None:
-        """Check that one lidar alone publishes scans."""
+        """Check that exactly one lidar publishes scans."""
         count = self.node.count_publishers(self._topic)
         self._crowd = f"{count} publishers on {self._topic}: there must be one lidar" if count > 1 else ""

@@ -1,4 +1,4 @@
-"""The node that a planar quadrotor falls back to when its pilot died: `ros2 run ctrl_rl_core thrust_watchdog`."""
+"""Watchdog for a planar quadrotor whose pilot node has died: `ros2 run ctrl_rl_core thrust_watchdog`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ctrl_rl_msgs.msg import RotorThrusts
 
 
 class ThrustWatchdogNode(CommandWatchdog):
-    """Passes thrusts on; when they stop coming, sends those that carry the weight for a while, and then none.
+    """Forwards thrusts; when they stop, sends hover thrust for a limited time, then zero.
 
     Subscribes to rotor_thrusts_raw, publishes rotor_thrusts: remap the pilot's rotor_thrusts to rotor_thrusts_raw.
-    Equal thrusts neither level the robot nor hold its place: they give the next pilot time to take over. A robot that
-    nobody flies for longer must come down, not fly off: its rotors stop. Before the first command nothing is sent, so
-    that a robot on the ground stays there.
+    Equal thrusts neither level the robot nor hold its position; they give the next pilot time to take over. A robot
+    without a pilot for longer must come down rather than fly off, so its rotors stop. Nothing is sent before the first
+    command, so a robot on the ground stays there.
     """
 
     PARAMETERS = (
@@ -43,7 +43,7 @@ class ThrustWatchdogNode(CommandWatchdog):
 
 
 class ThrustChannel:
-    """Thrusts of two rotor pairs, and those that carry the weight while none come; see `CommandChannel`."""
+    """Thrusts of two rotor pairs, replaced by hover thrust during a silence; see `CommandChannel`."""
 
     topic, rest, alone, message = "rotor_thrusts", "rest thrust", False, RotorThrusts
     hint = ": publish ctrl_rl_msgs/msg/RotorThrusts"
@@ -60,7 +60,7 @@ class ThrustChannel:
         return ""
 
     def fill_rest(self, message: RotorThrusts, silent_for: float | None) -> bool:
-        """Write the thrusts of a robot without a pilot; there are none to send before its first command."""
+        """Write the thrusts of a robot without a pilot; before the first command, send none."""
         if silent_for is None:
             return False
         message.t1 = message.t2 = 0.0 if self._is_over(silent_for) else self._settings["rest_thrust"]

@@ -1,4 +1,4 @@
-"""The node that stops a robot whose driver died: `ros2 run ctrl_rl_core watchdog`."""
+"""Watchdog that stops a robot whose driver has died: `ros2 run ctrl_rl_core watchdog`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROUNDING = 1.0 + 1e-6
 
 
 class WatchdogNode(CommandWatchdog):
-    """Passes velocity commands on, and sends zeros to the robot when they stop coming.
+    """Forwards velocity commands, and sends zeros when they stop coming.
 
     Subscribes to cmd_vel_raw, publishes cmd_vel: remap the driver's cmd_vel to cmd_vel_raw.
     """
@@ -49,7 +49,7 @@ class WatchdogNode(CommandWatchdog):
 
 
 class VelocityChannel:
-    """Speeds and turn rates, and zeros while none come; see `CommandChannel`."""
+    """Speeds and turn rates, replaced by zeros during a silence; see `CommandChannel`."""
 
     topic, rest, alone = "cmd_vel", "zero", True
     hint = ": set enable_stamped_cmd_vel to match it"
@@ -63,7 +63,7 @@ class VelocityChannel:
         return refusal(message.twist if isinstance(message, TwistStamped) else message, *self._largest)
 
     def fill_rest(self, _message: TwistStamped | Twist, _silent_for: float | None) -> bool:
-        """Leave the message at zero; it is always sent, since a robot may hold the command of a dead watchdog."""
+        """Keep the message at zero and always send it: the robot may hold a command of a dead watchdog."""
         return True
 
     def consequence(self, _silent_for: float) -> str:  # noqa: D102 - it is the same after any time
@@ -71,7 +71,7 @@ class VelocityChannel:
 
 
 def refusal(twist: Twist, largest_speed: float, largest_turn_rate: float) -> str:
-    """Return why a command may not go to the robot, empty where it may.
+    """Return the reason why a command must not reach the robot, or "" if it may.
 
     Args:
         twist: Command to check.

@@ -1,4 +1,4 @@
-"""Motions of a point along a curve over time: polylines at constant speed, and key frames.
+"""Motion of a point along a curve over time: polylines at constant speed, and key frames.
 
 Positions are (x, y) in the task's plane [m], times are since the motion began [s].
 """
@@ -24,9 +24,9 @@ class Motion:
 
     Attributes:
         times: Times at which the pieces begin, then the end of the last (n + 1,), rising from 0 [s].
-        pieces: For each piece the coefficients of x and of y (n, 2, 4), lowest power first, over the share of the
-            piece that is done.
-        repeats: Whether the motion begins again at its end; else it stays there.
+        pieces: Coefficients of x and y for each piece (n, 2, 4), lowest power first, over the elapsed fraction of the
+            piece.
+        repeats: Whether the motion restarts at its end; otherwise it stays there.
     """
 
     times: tuple[float, ...]
@@ -35,17 +35,17 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Time of one pass [s]."""
+        """Duration of one pass [s]."""
         return self.times[-1]
 
     @property
     def closed(self) -> bool:
-        """Whether a pass ends where it began."""
+        """Whether a pass ends at its start point."""
         return math.dist(self.position(0.0), self._evaluate(len(self.pieces) - 1, 1.0)) < 1e-6
 
     @cached_property
     def top_speed(self) -> float:
-        """Largest speed [m/s]."""
+        """Maximum speed [m/s]."""
         cubic, spans = np.array(self.pieces), np.diff(self.times)
         share = np.linspace(0.0, 1.0, 33)[:, None, None]
         slopes = cubic[..., 1] + share * (2.0 * cubic[..., 2] + share * 3.0 * cubic[..., 3])
@@ -65,7 +65,7 @@ class Motion:
         return x / span, y / span
 
     def _piece(self, time: float) -> tuple[int, float]:
-        """Return the piece at a time, and the share of it that is done."""
+        """Return the piece at a time, and its elapsed fraction."""
         time = time % self.duration if self.repeats else min(time, self.duration)
         index = min(bisect_right(self.times, time), len(self.pieces)) - 1
         begin = self.times[index]
@@ -77,10 +77,10 @@ class Motion:
 
 
 def polyline(points: ArrayLike, speed: float, repeat: str) -> Motion:
-    """Return the motion along straight lines at a constant speed; equal neighbours count once.
+    """Return a motion along straight lines at constant speed; duplicate consecutive points are merged.
 
     Args:
-        points: Corners (n, 2) [m], two different ones at least.
+        points: Corners (n, 2) [m], at least two of them distinct.
         speed: Constant speed along the lines [m/s].
         repeat: "once", "loop" (back to the first point in a straight line) or "back_and_forth".
 
@@ -106,15 +106,15 @@ def polyline(points: ArrayLike, speed: float, repeat: str) -> Motion:
 
 
 def catmull_rom(times: Sequence[float], points: ArrayLike, repeats: bool) -> Motion:
-    """Return the Catmull-Rom spline through key frames, with time linear between two of them.
+    """Return the Catmull-Rom spline through key frames, with linear time between frames.
 
-    The slopes are those of Gazebo's animations (ignition-math, class Spline): half the difference of the neighbours; at
-    an open end half the difference to the one neighbour; a curve whose ends meet is smooth there.
+    The slopes are those of Gazebo's animations (ignition-math, class Spline): half the difference between the
+    neighbours; at an open end, half the difference to the only neighbour. A closed curve is smooth where its ends meet.
 
     Args:
         times: Times of the frames (n,), rising from 0 [s].
         points: Positions (n, 2) [m].
-        repeats: Whether the motion begins again at its end.
+        repeats: Whether the motion restarts at its end.
     """
     places = np.asarray(points, float)
     before, after = np.roll(places, 1, axis=0), np.roll(places, -1, axis=0)

@@ -1,6 +1,6 @@
 """Plane geometry of tasks: boxes, discs and curved corridors, with exact signed distances.
 
-Coordinates are those of the task's plane, (x, y) or (x, z), in metres in the frame `map`.
+Coordinates are in the task's plane, (x, y) or (x, z), in metres, in the frame `map`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Box:
     """A rectangle.
 
     Attributes:
-        centre: Position of the middle (2,) [m].
+        centre: Position of the centre (2,) [m].
         size: Full side lengths along its own axes (2,) [m].
         angle: Rotation of its own axes, counter-clockwise [rad].
     """
@@ -55,7 +55,7 @@ Shape = Box | Disc
 
 
 class Solids:
-    """Many shapes at once: for one point in a few array operations, for many points in pieces that fit the cache."""
+    """A union of shapes: vectorised for a single point, and processed in cache-sized blocks for many points."""
 
     _AT_ONCE = 100_000
 
@@ -71,7 +71,7 @@ class Solids:
         self._radii = np.array([disc.radius for disc in discs])
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """Return the distance of points (..., 2) to the nearest shape, negative inside one (...) [m]; +inf for none."""
+        """Return the distance of points (..., 2) to the nearest shape, negative inside (...) [m]; +inf if empty."""
         points = np.asarray(points, dtype=float)
         flat = points.reshape(-1, 2)
         if not self._count:
@@ -94,12 +94,12 @@ class Solids:
 
 
 def signed_distance(shapes: Sequence[Shape], points: ArrayLike) -> Array:
-    """Return the distance of points (..., 2) to the nearest shape, negative inside one (...) [m]; +inf for none."""
+    """Return the distance of points (..., 2) to the nearest shape, negative inside (...) [m]; +inf if empty."""
     return Solids(shapes).signed_distance(points)
 
 
 def frame_walls(x: tuple[float, float], y: tuple[float, float], thickness: float) -> tuple[Box, ...]:
-    """Return the four walls [m] that stand just outside the rectangle x by y."""
+    """Return the four walls [m] just outside the rectangle x by y."""
     width, height = x[1] - x[0] + 2 * thickness, y[1] - y[0]
     middle = (0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]))
     return (
@@ -112,11 +112,11 @@ def frame_walls(x: tuple[float, float], y: tuple[float, float], thickness: float
 
 @dataclass(frozen=True)
 class Arc:
-    """A piece of a path with constant curvature.
+    """A segment of a path with constant curvature.
 
     Attributes:
         length: Length along the arc [m].
-        curvature: Turn per length, positive to the left [rad/m]; 0 for a straight piece.
+        curvature: Curvature, positive to the left [rad/m]; 0 for a straight segment.
     """
 
     length: float
@@ -128,7 +128,7 @@ class ArcPath:
     """A smooth plane path of arcs, from `start` in direction `heading`.
 
     Attributes:
-        arcs: The pieces, in order; tangents are continuous.
+        arcs: Segments in order, with continuous tangents.
         start: First point (2,) [m].
         heading: Direction at the first point [rad].
     """
@@ -143,7 +143,7 @@ class ArcPath:
         return sum(arc.length for arc in self.arcs)
 
     def pose(self, s: ArrayLike) -> Array:
-        """Return (x, y, heading) [m, m, rad] at arc lengths s (...) as (..., 3); beyond the ends straight on."""
+        """Return poses (..., 3) [m, m, rad] at arc lengths s (...); the path continues straight beyond its ends."""
         s = np.asarray(s, dtype=float)
         out = np.empty((*s.shape, 3))
         x, y, heading, begin = *self.start, self.heading, 0.0
@@ -158,15 +158,15 @@ class ArcPath:
         return out
 
     def walls(self, width: float, thickness: float = 0.05, largest_sag: float = 0.002) -> tuple[Box, ...]:
-        """Return boxes that line both sides of the path at distance width / 2, without gaps.
+        """Return gapless boxes along both sides of the path at distance width / 2.
 
         Args:
             width: Free width between the walls [m].
-            thickness: Thickness of the walls, outwards [m].
-            largest_sag: Largest cut of a straight box into the free width, at its middle or ends [m].
+            thickness: Thickness of the walls, towards the outside [m].
+            largest_sag: Maximum intrusion of a straight box into the free width, at its middle or ends [m].
 
         Raises:
-            ValueError: The path turns tighter than half the width.
+            ValueError: The path has a radius below half the width.
         """
         boxes: list[Box] = []
         begin = 0.0
@@ -190,9 +190,9 @@ class World:
 
     Attributes:
         walls: Boxes around the arena or along the corridor.
-        obstacles: Fixed obstacles within the walls.
-        path: The corridor's middle line, None in an arena.
-        width: The corridor's free width [m], None in an arena.
+        obstacles: Static obstacles within the walls.
+        path: Centre line of the corridor; None in an arena.
+        width: Free width of the corridor [m]; None in an arena.
     """
 
     walls: tuple[Box, ...]
@@ -210,7 +210,7 @@ class World:
 
 
 def _along(x: float, y: float, heading: float, s: Array, curvature: Array) -> Array:
-    """Return (..., 3): the pose after s metres of constant curvature (...)."""
+    """Return the poses (..., 3) after s metres of constant curvature (...)."""
     turn = s * curvature
     chord = s * np.sinc(turn / (2 * np.pi))  # 2 / k * sin(k s / 2), finite for k = 0
     direction = heading + 0.5 * turn
@@ -226,7 +226,7 @@ def _pieces(arc: Arc, width: float, largest_sag: float) -> int:
 
 
 def _wall_piece(x: float, y: float, heading: float, side: float, piece: Arc, width: float, thickness: float) -> Box:
-    """One straight box beside the piece of path with its middle at (x, y); a box on the outside of a turn is longer."""
+    """Return one straight box beside the path segment centred at (x, y), longer on the outside of a turn."""
     inner_ratio = 1.0 - side * piece.curvature * 0.5 * width
     outer_ratio = 1.0 - side * piece.curvature * (0.5 * width + thickness)
     offset = side * 0.5 * (width + thickness)

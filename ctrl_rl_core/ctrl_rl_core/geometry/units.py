@@ -1,6 +1,6 @@
-"""Quantities with units, as task files write them: `0.7 m`, `60 deg`, `-0.8 .. 2.0 m/s`, `(0.0, 3.5) m`.
+"""Quantities with units, as in task files: `0.7 m`, `60 deg`, `-0.8 .. 2.0 m/s`, `(0.0, 3.5) m`.
 
-Everything is SI once read: metres, seconds, radians, kilograms, newtons.
+Parsed values are in SI units: metres, seconds, radians, kilograms, newtons.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _FACTORS: dict[str, dict[str, float]] = {
 
 
 _LARGEST: dict[str, float] = {"m": 1e5, "s": 1e6, "rad": 1e3, "m/s": 1e3, "rad/s": 1e4, "Hz": 1e5}
-"""Of a robot's world, in SI units; of the others 1e9."""
+"""Largest magnitude accepted for physical quantities, in SI units; 1e9 for others."""
 _LEAST = 1e-6
-"""Least value of a positive quantity, in SI units."""
+"""Smallest accepted value of a positive quantity, in SI units."""
 _LONGEST = 200
 _NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"(\(.*\)|{_NUMBER}(?:\s*\.\.\s*{_NUMBER})?)\s*(.*)")
@@ -50,7 +50,7 @@ class Interval(NamedTuple):
 
     @property
     def centre(self) -> float:
-        """The middle."""
+        """Midpoint."""
         return 0.5 * (self.low + self.high)
 
     @property
@@ -63,24 +63,24 @@ class Interval(NamedTuple):
 
 
 def parse_scalar(text: object, unit: str) -> float:
-    """Return `0.7 m` in SI units.
+    """Parse `0.7 m` to SI units.
 
     Args:
-        text: A number and a unit of the same kind as `unit`; for the unit "1" the number alone.
-        unit: The SI unit wanted, a key of the table above.
+        text: A number and a unit of the same dimension as `unit`; for the unit "1", just the number.
+        unit: Expected SI unit, a key of the table above.
 
     Raises:
-        ValueError: No number, no unit or a unit of another kind.
+        ValueError: The number or unit is missing, or the unit has another dimension.
     """
     number, factor = _split(text, unit)
     return _number(number, text, factor, unit)
 
 
 def parse_interval(text: object, unit: str) -> Interval:
-    """Return `low .. high unit` in SI units; a single quantity is an interval of length zero.
+    """Parse `low .. high unit` to SI units; a single quantity gives an interval of length zero.
 
     Raises:
-        ValueError: As `parse_scalar`, or low > high.
+        ValueError: As for `parse_scalar`, or low > high.
     """
     body, factor = _split(text, unit)
     low, dots, high = body.partition("..")
@@ -94,10 +94,10 @@ def parse_interval(text: object, unit: str) -> Interval:
 
 
 def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
-    """Return `(a, b) unit` in SI units.
+    """Parse `(a, b) unit` to SI units.
 
     Raises:
-        ValueError: As `parse_scalar`, or not `size` numbers in parentheses.
+        ValueError: As for `parse_scalar`, or there are not `size` numbers in parentheses.
     """
     body, factor = _split(text, unit)
     if not (body.startswith("(") and body.endswith(")")):
@@ -112,7 +112,7 @@ def parse_vector(text: object, unit: str, size: int) -> tuple[float, ...]:
 
 
 def _split(text: object, unit: str) -> tuple[str, float]:
-    """Cut the unit off and return the rest with the unit's factor to SI."""
+    """Split off the unit; return the rest and the unit's factor to SI."""
     plain = isinstance(text, str | int | float) and not isinstance(text, bool)
     said = str(text).strip() if plain and not (isinstance(text, int) and abs(text) > 1e30) else ""
     match = _QUANTITY.fullmatch(said) if len(said) <= _LONGEST else None
@@ -177,7 +177,7 @@ PositiveLength = Annotated[float, BeforeValidator(_scalar("m", positive=True))]
 Time = Annotated[float, BeforeValidator(_scalar("s"))]
 PositiveTime = Annotated[float, BeforeValidator(_scalar("s", positive=True))]
 TimeStep = Annotated[float, BeforeValidator(_scalar("s", positive=True, largest=60.0))]
-"""From one step of a policy to the next [s]."""
+"""Duration of a policy step [s]."""
 Angle = Annotated[float, BeforeValidator(_scalar("rad"))]
 Speed = Annotated[float, BeforeValidator(_scalar("m/s"))]
 PositiveSpeed = Annotated[float, BeforeValidator(_scalar("m/s", positive=True))]

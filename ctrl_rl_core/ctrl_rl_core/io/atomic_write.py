@@ -1,4 +1,4 @@
-"""Writes files atomically: a reader never sees half a file."""
+"""Atomic file writing: readers never see a partial file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 
 def atomic_write(path: Path, content: bytes | str) -> None:
-    """Write a file through a temporary one beside it; text as UTF-8. A crash leaves the old file or the new one.
+    """Write a file atomically through a temporary file beside it; text as UTF-8.
 
     Raises:
-        OSError: The file cannot be written; the error names it, and the old file is still there.
+        OSError: The file cannot be written; the error names it, and the old file is unchanged.
     """
     temporary = temporary_beside(path)
     try:
@@ -29,13 +29,14 @@ def atomic_write(path: Path, content: bytes | str) -> None:
 
 
 def temporary_beside(path: Path) -> Path:
-    """Return a path beside another one where nobody else writes.
+    """Return a unique temporary path beside another path.
 
-    A process id would not do: in a container it is the same in each run, and a run that was killed leaves its file.
+    A process id would not be unique: in a container it is the same for each run, and a killed run leaves its file
+    behind.
     """
     return path.with_name(f".{path.name}.{secrets.randbits(60)}.tmp")
 
 
 def is_temporary(path: Path) -> bool:
-    """Tell whether a file is a temporary one of `atomic_write`, left by a run that was killed."""
+    """Return whether a file is a temporary file of `atomic_write`, left behind by a killed run."""
     return re.fullmatch(r"\..+\.\d+\.tmp", path.name) is not None

@@ -1,4 +1,4 @@
-"""Named arrays in an .npz file: its names, types and unpacked size are checked before anything is unpacked."""
+"""Named arrays in an .npz file; names, types and unpacked size are checked before unpacking."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ctrl_rl_core.io.file_checks import FileError, read_bytes, short_repr
 
 Arrays = dict[str, NDArray[Any]]
 _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError, TypeError)
-"""Exceptions of zipfile and NumPy for a damaged archive."""
+"""Exceptions that zipfile and NumPy raise for a damaged archive."""
 
 
 def encode_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the bytes of an archive, with a digest."""
+    """Return the bytes of an archive that includes a digest."""
     buffer, everything = io.BytesIO(), dict(arrays)
     everything[DIGEST] = np.array(digest(arrays))
     np.savez(buffer, allow_pickle=False, **everything)
@@ -32,16 +32,16 @@ def encode_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int) -> Arrays:
-    """Return the arrays of an archive: booleans, integers, finite numbers, and texts.
+    """Read the arrays of an archive: booleans, integers, finite numbers, and text.
 
     Args:
         path: The file to read.
-        names: Names of all arrays in the file.
-        largest: Bytes that they may have unpacked, all together.
+        names: Names of all expected arrays.
+        largest: Maximum total unpacked size [bytes].
 
     Raises:
-        FileError: It is no such archive, too large, or damaged.
-        OSError: It cannot be read.
+        FileError: The file is not such an archive, is too large, or is damaged.
+        OSError: The file cannot be read.
     """
     content = io.BytesIO(read_bytes(path, largest))
     try:
@@ -61,7 +61,7 @@ def read_arrays(path: str | os.PathLike[str], names: Sequence[str], largest: int
 
 
 def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 (hex) of names, types, shapes and content of arrays."""
+    """Return the SHA-256 (hex) of the names, types, shapes and contents of arrays."""
     sum_ = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

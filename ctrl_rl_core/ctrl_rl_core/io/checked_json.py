@@ -1,4 +1,4 @@
-"""JSON from untrusted files: bounded size and depth, no repeated keys, and a digest that reveals damage."""
+"""JSON from untrusted files: bounded size and depth, no duplicate keys, and a digest that reveals damage."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typing import Any
 from ctrl_rl_core.io.file_checks import FileError, as_text, one_line, read_bytes, short_path, short_repr
 
 LARGEST = 64_000_000
-"""Bytes of a file."""
+"""Maximum file size [bytes]."""
 DEEPEST = 40
-"""Levels of lists and objects within each other."""
+"""Maximum nesting depth of lists and objects."""
 DIGEST = "sha256"
-"""Key of the digest, beside the others."""
+"""Key of the digest in the top-level object."""
 _LONGEST_NUMBER = 40
 _MARKS = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[\]{}]', re.DOTALL)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
@@ -26,7 +26,7 @@ _told: set[str] = set()
 
 
 def parse_json(text: str) -> Any:
-    """Parse a JSON text. NaN and infinity, which Python writes, are accepted here; schemas reject them.
+    """Parse JSON text. NaN and infinity are accepted, as Python writes them; schemas reject them.
 
     Raises:
         FileError: The text is not JSON, is nested too deeply, or repeats a key.
@@ -44,11 +44,11 @@ def parse_json(text: str) -> Any:
 
 
 def read_json(path: str | os.PathLike[str], largest: float = LARGEST) -> Any:
-    """Return the content of a JSON file, without its digest, which is checked.
+    """Read a JSON file, check its digest and return the content without it.
 
     Raises:
-        FileError: As `parse_json`, the file is none or too large, or it is damaged.
-        OSError: It cannot be read.
+        FileError: As for `parse_json`, or the file is missing, too large or damaged.
+        OSError: The file cannot be read.
     """
     content = parse_json(as_text(read_bytes(path, largest)))
     if not isinstance(content, dict):
@@ -62,18 +62,18 @@ def read_json(path: str | os.PathLike[str], largest: float = LARGEST) -> Any:
 
 
 def with_digest(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an object and its digest, as `read_json` checks it."""
+    """Return an object with the digest that `read_json` checks."""
     plain = json.loads(json.dumps(dict(content)))
     return {**content, DIGEST: digest(plain)}
 
 
 def digest(content: Mapping[str, Any]) -> str:
-    """Return the SHA-256 (hex) of an object's content; layout and order of keys do not count."""
+    """Return the SHA-256 (hex) of an object's content, independent of layout and key order."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def warn_missing_digest(path: str | os.PathLike[str]) -> None:
-    """Warn, once for each file, that it has no digest."""
+    """Warn once per file that it has no digest."""
     name = short_path(path)
     if name not in _told:
         _told.add(name)

@@ -1,4 +1,4 @@
-"""Checksums of PNG files, which Pillow does not look at where pixels are."""
+"""Checksums of PNG files, which Pillow does not verify for pixel data."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _LARGEST = 200_000_000
 
 
 def check_png(file: BinaryIO) -> None:
-    """Refuse a PNG file of which a part is damaged, and go back to its beginning; files of other kinds pass.
+    """Raise if a PNG file is damaged, then rewind it; other file types pass.
 
     Raises:
-        FileError: A checksum is wrong, or the end is missing.
+        FileError: A checksum is wrong, or the file is truncated.
     """
     if file.read(len(_BEGIN)) == _BEGIN:
         kind = b""

@@ -1,7 +1,7 @@
-"""Tensors and their JSON header in a safetensors file, checked before anything is allocated, with a digest of it all.
+"""Tensors and a JSON header in a safetensors file, validated before allocation, with a digest of the whole file.
 
-The header is one entry of the file's metadata (safetensors writes several in random order) and holds its own digest:
-the SHA-256 of the whole file in which 64 zeros stand for the digest.
+The header is a single metadata entry (safetensors writes several in random order) and contains the digest: the SHA-256
+of the whole file, computed with 64 zeros in place of the digest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ctrl_rl_core.io.schema import Count, Schema
 
 Tensors = dict[str, NDArray[Any]]
 LARGEST = 256_000_000
-"""Bytes of a policy's file."""
+"""Maximum size of a policy file [bytes]."""
 LARGEST_HEADER = 16_000_000
 TYPES: dict[str, type[np.generic]] = {
     "F64": np.float64,
@@ -52,11 +52,11 @@ KINDS = {
     "decomposed_value": "a time to reach in parts, for ttr_reward_node's reward (grid:=FILE)",
     "oc_value": "an optimal control value, for oc_baseline_node's baseline (grid:=FILE)",
 }
-"""Descriptions of the suite's files, by the key of their header."""
+"""Descriptions of the suite's file kinds, by header key."""
 
 
 class _Entry(Schema):
-    """Where a tensor lies in the file [bytes after the header]."""
+    """Position of a tensor in the file [bytes after the header]."""
 
     dtype: str
     shape: Annotated[list[Count], Field(max_length=8)]
@@ -67,7 +67,7 @@ _ENTRIES = TypeAdapter(Annotated[dict[str, _Entry], Field(max_length=10_000)])
 
 
 class TensorFile(NamedTuple):
-    """Header and tensors of a file, and its SHA-256 (hex), empty where it was not asked for."""
+    """Header and tensors of a file, and its SHA-256 (hex), empty if not requested."""
 
     header: dict[str, Any]
     tensors: Tensors
@@ -75,12 +75,12 @@ class TensorFile(NamedTuple):
 
 
 def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a file, the same for the same tensors and header.
+    """Return the bytes of a file, deterministic for the same tensors and header.
 
     Args:
-        tensors: Arrays by the name of the tensor.
-        key: Metadata key that marks the kind of file.
-        header: JSON, without the digest.
+        tensors: Arrays by tensor name.
+        key: Metadata key that identifies the kind of file.
+        header: JSON header without the digest.
     """
     plain = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     rest = json.dumps(dict(header), sort_keys=True)[1:]
@@ -90,10 +90,10 @@ def encode_tensors(tensors: Mapping[str, NDArray[Any]], key: str, header: Mappin
 
 
 def kind_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Return the keys of a file's metadata, by which kinds of files differ.
+    """Return the metadata keys of a file, which identify its kind.
 
     Raises:
-        FileError, OSError: As `read_tensors`.
+        FileError, OSError: As for `read_tensors`.
     """
     with open_file(path, math.inf) as (file, size):
         return tuple(_parse_head(file.read(8 + min(size, LARGEST_HEADER)), size)[0])
@@ -107,19 +107,19 @@ def read_tensors(
     finite: bool = True,
     with_digest: bool = False,
 ) -> TensorFile:
-    """Read a file of one kind and check it against its digest.
+    """Read a file of one kind and verify its digest.
 
     Args:
         path: The file to read.
-        key: Metadata key that marks the kind of file.
-        largest: Bytes that it may have; None for as many as the memory takes.
+        key: Metadata key that identifies the kind of file.
+        largest: Maximum size [bytes]; None for as much as fits in memory.
         types: Allowed types of the tensors.
-        finite: Whether NaN and infinity are refused.
-        with_digest: Whether the file's own SHA-256 is wanted, for which it is gone through once more.
+        finite: Whether to reject NaN and infinity.
+        with_digest: Whether to return the file's SHA-256, which takes another pass over the file.
 
     Raises:
-        FileError: It is no such file, too large, damaged, or holds other tensors.
-        OSError: It cannot be read.
+        FileError: The file is of another kind, too large, damaged, or has tensors of other types.
+        OSError: The file cannot be read.
     """
     with open_file(path, available_memory() if largest is None else largest) as (file, size):
         head = file.read(min(size, 8))
@@ -173,7 +173,7 @@ def _sha256(head: bytes, data: NDArray[np.uint8]) -> str:
 
 
 def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entry]]:
-    """Return metadata and entries of a file that begins so and has so many bytes."""
+    """Parse the metadata and tensor entries from the start of a file of a given size."""
     length = int.from_bytes(head[:8], "little")
     if size < 10 or length > size - 8:
         raise FileError("is not a whole safetensors file: copy or make it again")

@@ -1,4 +1,4 @@
-"""YAML of others: bounded in size and depth, no aliases, no merges, each key once."""
+"""YAML from untrusted files: bounded size and depth, no aliases, no merge keys, no duplicate keys."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import yaml
 from ctrl_rl_core.io.file_checks import FileError, as_text, read_bytes, short_repr
 
 LARGEST = 500_000
-"""Bytes of a file that people write."""
+"""Maximum size of a hand-written file [bytes]."""
 DEEPEST = 40
-"""Levels of lists and mappings within each other."""
+"""Maximum nesting depth of lists and mappings."""
 _LONGEST_SCALAR = 20_000
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """Return the content of a YAML file that people write.
+    """Read a hand-written YAML file.
 
     Raises:
-        FileError: As `parse_yaml`, or the file is none or too large.
-        OSError: It cannot be read.
+        FileError: As for `parse_yaml`, or the file is missing or too large.
+        OSError: The file cannot be read.
     """
     return parse_yaml(read_bytes(path, LARGEST))
 
 
 def parse_yaml(content: bytes) -> Any:
-    """Return the content of a YAML file.
+    """Parse YAML content.
 
     Raises:
-        FileError: It is not YAML, nested too deeply, has a key twice, or names parts of itself.
+        FileError: The content is not YAML, is nested too deeply, repeats a key, or uses aliases.
     """
     try:
         return yaml.load(as_text(content), _Loader)
@@ -42,7 +42,7 @@ def parse_yaml(content: bytes) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML, whose last one of equal keys wins, and whose aliases unfold without bound, is not safe enough."""
+    """Safe loader that rejects duplicate keys and aliases, which plain YAML accepts and expands without bound."""
 
     _depth = 0
 

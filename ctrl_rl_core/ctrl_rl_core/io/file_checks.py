@@ -1,9 +1,9 @@
-"""Opens files that may be hostile: regular ones of a bounded size only, with errors of one line.
+"""Opens possibly hostile files: regular files of bounded size only, with one-line errors.
 
     with raise_as(TaskError, path):
         content = parse_yaml(read_bytes(path, 1_000_000))
 
-Any fault within the block becomes a `TaskError` that names the file.
+Any error within the block becomes a `TaskError` that names the file.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from pydantic import ValidationError
 from ctrl_rl_core.errors import CtrlRlError
 
 LONGEST_VALUE = 60
-"""Characters of a wrong value that an error shows."""
+"""Maximum length of an invalid value in an error message [characters]."""
 LONGEST_ERROR = 400
-"""Characters of an error, without the file's name."""
+"""Maximum length of an error message, without the file name [characters]."""
 _LONGEST_NAME = 200
 _POINTER, _POINTER_SIZE = b"version https://git-lfs.github.com/spec/", 1024
-"""How a file begins that stands for another one, and how long it is at most."""
+"""Prefix and maximum size of a Git LFS pointer file."""
 
 
 class FileError(CtrlRlError):
-    """A file is refused; the message does not name it, `raise_as` adds the name."""
+    """A file is invalid; `raise_as` adds the file name to the message."""
 
 
 def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
-    """Return a text as one line that can be printed anywhere: what cannot is escaped, and a long text is cut."""
+    """Return a text as one printable line: unprintable characters are escaped, and a long text is cut."""
     said = str(text)
     said = said if len(said) <= longest else f"{said[: longest - 3]}..."
     if not said.isprintable():
@@ -42,7 +42,7 @@ def one_line(text: object, longest: int = LONGEST_ERROR) -> str:
 
 
 def short_repr(value: object) -> str:
-    """Return a wrong value as one short piece of an error message."""
+    """Return an invalid value as a short piece of an error message."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**LONGEST_VALUE:
         return "a number of more than 60 digits"
     if isinstance(value, str):
@@ -53,19 +53,19 @@ def short_repr(value: object) -> str:
 
 
 def short_path(path: str | os.PathLike[str]) -> str:
-    """Return a path as one short piece of an error message; of a long one the end."""
+    """Return a path as a short piece of an error message; a long path is cut at its beginning."""
     said = os.fspath(path)
     return one_line(said if len(said) <= _LONGEST_NAME else f"...{said[-_LONGEST_NAME:]}", 2 * _LONGEST_NAME)
 
 
 @contextmanager
 def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str = "") -> Iterator[None]:
-    """Turn any fault of a file into one class of error, with one line that begins with the file's name.
+    """Convert any error about a file to one error class, with a one-line message that starts with the file name.
 
     Args:
         kind: Class of the error to raise.
-        path: Path of the file that is read.
-        advice: Sentence that tells the user how to repair a bad file.
+        path: Path of the file.
+        advice: How to repair a bad file, as a sentence for the user.
     """
     try:
         yield
@@ -86,11 +86,11 @@ def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str 
 
 @contextmanager
 def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[BinaryIO, int]]:
-    """Open a regular file of at most `largest` bytes; give it and its size [bytes].
+    """Open a regular file of at most `largest` bytes; yield it and its size [bytes].
 
     Raises:
-        FileError: There is no such file, it is a folder, a pipe, a device or a pointer of Git LFS, or it is too large.
-        OSError: It cannot be read.
+        FileError: The file is missing, too large, a folder, a pipe, a device or a Git LFS pointer.
+        OSError: The file cannot be read.
     """
     try:
         # A pipe would keep us waiting for somebody to write into it.
@@ -115,20 +115,20 @@ def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[Bi
 
 
 def read_bytes(path: str | os.PathLike[str], largest: float) -> bytes:
-    """Return the content of a regular file of at most `largest` bytes.
+    """Return the contents of a regular file of at most `largest` bytes.
 
     Raises:
-        FileError, OSError: As `open_file`.
+        FileError, OSError: As for `open_file`.
     """
     with open_file(path, largest) as (file, size):
         return file.read(size)
 
 
 def as_text(content: bytes) -> str:
-    """Return the text of a file.
+    """Decode the text of a file.
 
     Raises:
-        FileError: It is not UTF-8.
+        FileError: The text is not UTF-8.
     """
     try:
         return content.decode()
@@ -145,15 +145,15 @@ _SAID = {
     "union_tag_not_found": "{discriminator} is missing",
     "union_tag_invalid": "{discriminator} is '{tag}': must be one of {expected_tags}",
 }
-"""Complaints of a schema in the words of its file, by their type."""
+"""Schema error messages in the terms of the file, by error type."""
 
 
 def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
-    """Return the first of a schema's complaints as `key.key: what is wrong`, and how many more there are.
+    """Return a schema's first error as `key.key: message`, and the number of further errors.
 
     Args:
         error: Error that the schema raised.
-        hidden: Parts of keys that belong to the schema and not to the file.
+        hidden: Key components that belong to the schema rather than the file.
     """
     errors = error.errors(include_url=False)
     first: Any = errors[0]
@@ -170,7 +170,7 @@ def first_error(error: ValidationError, hidden: tuple[str, ...] = ()) -> str:
 
 
 def available_memory() -> float:
-    """Return the bytes that can be allocated: those of the system, or fewer where this process's group is limited."""
+    """Return the memory that can be allocated [bytes]: the system's, or less if this process's cgroup is limited."""
     bytes_ = float("inf")
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

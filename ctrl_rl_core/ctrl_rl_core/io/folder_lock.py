@@ -1,4 +1,4 @@
-"""A lock on a folder for which processes wait, so that files in it are read, changed and written by one at a time."""
+"""A folder lock that processes wait for, so that only one at a time reads, changes and writes its files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _held = threading.local()
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Wait until no other process is within such a block of a folder, and hold it; a block within a block is let in.
+    """Wait for a folder's lock and hold it within the block; nested blocks are allowed.
 
     Raises:
         OSError: The folder is missing.

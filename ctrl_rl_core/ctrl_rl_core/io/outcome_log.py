@@ -1,4 +1,4 @@
-"""The outcomes of trials, one JSON line each: trials that were ended go on where they were."""
+"""Log of trial outcomes, one JSON line each, so that interrupted trials can resume."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ _Outcome = TypeVar("_Outcome")
 
 
 class OutcomeLog(Generic[_Outcome]):
-    """A file with the settings of trials in its first line, and an outcome in each further one.
+    """A file with the trial settings in its first line, and one outcome in each further line.
 
-    Each line ends with a digest of itself and of the one before, so that a line that was changed, moved or taken out
-    is noticed. One process at a time adds outcomes.
+    Each line ends with a digest of itself and the previous line, so that a changed, moved or removed line is detected.
+    Only one process at a time may add outcomes.
 
     Attributes:
-        outcomes: Outcomes of the trials so far.
+        outcomes: Outcomes recorded so far.
     """
 
     def __init__(self, file: Path, settings: Mapping[str, Any], kind: type[_Outcome], error: type[CtrlRlError]) -> None:
-        """Read a log, or begin one.
+        """Read a log, or start a new one.
 
         Args:
-            file: File of the log; it need not exist.
-            settings: Settings that all its trials share, as JSON.
+            file: Path of the log; it need not exist.
+            settings: Settings common to all its trials, as JSON.
             kind: Dataclass of the outcomes.
-            error: Error to raise for a file that does not serve.
+            error: Error class to raise for an invalid file.
 
         Raises:
             CtrlRlError: The file is damaged, or its trials had other settings.
@@ -60,7 +60,7 @@ class OutcomeLog(Generic[_Outcome]):
         """Append an outcome.
 
         Raises:
-            CtrlRlError: Another process adds to the file.
+            CtrlRlError: Another process is adding to the file.
         """
         if self._stream is None:
             self._stream = self._locked()
@@ -69,7 +69,7 @@ class OutcomeLog(Generic[_Outcome]):
         self._stream.flush()
 
     def _locked(self) -> BinaryIO:
-        """Open the file to add to it; it stays locked until this process or this object ends."""
+        """Open the file for appending, and lock it until this process or object ends."""
         stream = self._file.open("r+b")
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -84,16 +84,16 @@ class OutcomeLog(Generic[_Outcome]):
         return stream
 
     def _line(self, content: Mapping[str, Any]) -> bytes:
-        """Return a line with its digest, which the next one counts in."""
+        """Return a line with its digest, which the next line's digest includes."""
         plain = json.loads(json.dumps(dict(content)))
         self._last = digest({"before": self._last, "line": plain})
         return f"{json.dumps({**plain, DIGEST: self._last})}\n".encode()
 
     def _content(self, line: str) -> Any:
-        """Return a line's content, whose digest is checked.
+        """Verify a line's digest and return its content.
 
         Raises:
-            FileError: It was changed, or the one before it was.
+            FileError: This line or the one before was changed.
         """
         content = parse_json(line)
         found = content.pop(DIGEST, None) if isinstance(content, dict) else None

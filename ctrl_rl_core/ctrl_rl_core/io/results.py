@@ -1,4 +1,4 @@
-"""Results as data: one JSON file per experiment, from which tables and plots are made."""
+"""Results as data: one JSON file per experiment, the source of tables and plots."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ Text = Annotated[str, Field(max_length=10_000)]
 
 
 class _Written(Schema):
-    """Part of a file of ours; a figure may be NaN where there was nothing to measure."""
+    """Part of a results file; a value may be NaN if there was nothing to measure."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
 
 class Origin(_Written):
-    """The command that measured a row, and the commit that it ran on."""
+    """The command that measured a row, and the commit it ran on."""
 
     command: Text
     commit: Text
 
 
 class Row(_Written):
-    """One row as it is written."""
+    """One row as stored in a file."""
 
     method: Name
     metric: Name
@@ -58,14 +58,14 @@ class Row(_Written):
 
     @model_validator(mode="after")
     def _check_seeds(self) -> Row:
-        """Refuse seeds that are not one a value."""
+        """Check that there is one seed per value."""
         if self.terms and len(set(self.seeds)) != len(self.values):
             raise ValueError("seeds: must be one a value")
         return self
 
     @property
     def result(self) -> Result:
-        """Return the row as it was given."""
+        """Return the row as a `Result`."""
         return Result(
             self.method,
             self.metric,
@@ -79,7 +79,7 @@ class Row(_Written):
 
 
 class Experiment(_Written):
-    """A results file."""
+    """Schema of a results file."""
 
     experiment: Name
     command: Text
@@ -105,17 +105,17 @@ _BENCHMARKS = TypeAdapter(Annotated[list[Benchmark], Field(max_length=10_000)])
 
 @dataclass(frozen=True)
 class Result:
-    """One row: a method's figure, one value per seed, beside the thesis's where it has one.
+    """One row: a method's metric with one value per seed, and the thesis's value if there is one.
 
     Attributes:
         method: Name of the method.
-        metric: Name of the figure.
-        unit: Its unit, "1" for none.
-        values: Values, one a seed.
-        thesis: The thesis's figure.
-        seeds: Seeds of the values, in their order, where rows of one file have different ones.
-        terms: Digest of all that made the values but the seed; with it, values of other seeds can join them.
-        origins: Commands that measured the values, where rows of one file come from different ones.
+        metric: Name of the metric.
+        unit: Unit of the values, "1" for none.
+        values: Values, one per seed.
+        thesis: Value reported in the thesis.
+        seeds: Seeds of the values, in order, if rows of one file have different seeds.
+        terms: Digest of everything that determined the values except the seed; allows merging values of other seeds.
+        origins: Commands that measured the values, if rows of one file come from different commands.
     """
 
     method: str
@@ -128,9 +128,9 @@ class Result:
     origins: tuple[Origin, ...] = ()
 
     def joined(self, other: Result) -> Result:
-        """Return the row with the values of another row's seeds that this one lacks, in the order of the seeds.
+        """Return the row extended by another row's values for seeds that this row lacks, in seed order.
 
-        A row that has other terms, or none, adds nothing.
+        A row with a different or missing digest in `terms` adds nothing.
         """
         if not self.terms or other.terms != self.terms or set(other.seeds) <= set(self.seeds):
             return self
@@ -147,14 +147,14 @@ def write_results(
     rows: Sequence[Result],
     figures: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an experiment's rows, with the command and commit that produced them; the file is written atomically.
+    """Write an experiment's rows atomically, with the command and commit that produced them.
 
     Args:
-        path: Path of the file, which is replaced if it exists.
+        path: Path of the file, replaced if it exists.
         experiment: Name of the experiment.
-        seeds: That it ran with.
+        seeds: Seeds of the experiment.
         rows: Rows of the results table.
-        figures: Data of its plots, as JSON.
+        figures: Plot data as JSON.
     """
     origin = _origin()
     content: dict[str, Any] = {
@@ -192,18 +192,18 @@ def add_results(
     *,
     same_metric: bool = False,
 ) -> None:
-    """Write rows beside those that a results file holds, whoever else writes to it; arguments as of `write_results`.
+    """Merge rows into a results file, safely against concurrent writers.
 
     Args:
-        path: Path of the file; it need not be there.
+        path: Path of the file; it need not exist.
         experiment: Name of the experiment.
-        seeds: That it ran with.
+        seeds: Seeds of the experiment.
         rows: New rows, see `with_others`.
-        figures: Data of its plots, as JSON.
-        same_metric: As in `with_others`.
+        figures: Plot data as JSON.
+        same_metric: See `with_others`.
 
     Raises:
-        ResultsError: The file that is there cannot be read.
+        ResultsError: The existing file cannot be read.
     """
     with results_lock(path):
         write_results(path, experiment, seeds, with_others(path, rows, same_metric), figures)
@@ -211,22 +211,22 @@ def add_results(
 
 @contextmanager
 def results_lock(path: Path) -> Iterator[None]:
-    """Keep other processes from writing results beside this file while it is read, added to and written."""
+    """Lock a results file against other processes while it is read, changed and written."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with folder_lock(path.parent):
         yield
 
 
 def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -> list[Result]:
-    """Return rows after those of a results file that they do not replace, each with its origin.
+    """Merge new rows into those of a results file; each row gets its origin.
 
-    The file need not be there.
+    The file need not exist.
 
     Args:
         path: Path of the results file.
         rows: New rows; they replace all rows of their methods.
-        same_metric: Whether they replace only rows with their method and metric, and values of other seeds that were
-            made by the same terms stay in these.
+        same_metric: Whether to replace only rows with the same method and metric, keeping values of other seeds with
+            the same `terms`.
 
     Raises:
         ResultsError: The file cannot be read.
@@ -246,7 +246,7 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
 
 
 def as_lines(rows: Sequence[Result]) -> str:
-    """Return each row's mean and standard deviation over its values, one a line."""
+    """Return each row's mean and standard deviation, one line per row."""
     methods, metrics = (max((len(getattr(row, name)) for row in rows), default=0) for name in ("method", "metric"))
     return "\n".join(
         f"{row.method:<{methods}}  {row.metric:<{metrics}} {np.mean(row.values):9.3f} +- {np.std(row.values):.3f}"
@@ -255,7 +255,7 @@ def as_lines(rows: Sequence[Result]) -> str:
 
 
 def read_results(folder: Path) -> list[Experiment]:
-    """Return every experiment of a folder; benchmark rows, a list, are not one.
+    """Return all experiments of a folder; benchmark files are skipped.
 
     Raises:
         ResultsError: A file is damaged, or was not written by `write_results`.
@@ -265,7 +265,7 @@ def read_results(folder: Path) -> list[Experiment]:
 
 
 def read_experiment(file: Path) -> Experiment | None:
-    """Return the experiment of a file; None where it holds benchmark rows.
+    """Return the experiment of a file; None if it holds benchmark rows.
 
     Raises:
         ResultsError: The file is damaged, or was not written by `write_results`.
@@ -276,7 +276,7 @@ def read_experiment(file: Path) -> Experiment | None:
 
 
 def read_benchmarks(file: Path) -> list[Benchmark]:
-    """Return the rows that `make bench` wrote; none where it has not run.
+    """Return the rows written by `make bench`; empty if it has not run.
 
     Raises:
         ResultsError: The file holds something else.
@@ -288,19 +288,19 @@ def read_benchmarks(file: Path) -> list[Benchmark]:
 
 
 def _dump(content: Mapping[str, Any]) -> str:
-    """Return the JSON: a line for each field and row; figures, which are long, on one line."""
+    """Return the JSON text with one line per field and row; figures, which are long, take one line."""
     figures = content.get("figures")
     text = json.dumps({key: value for key, value in content.items() if key != "figures"}, indent=1)
     return f"{text}\n" if figures is None else f'{text[:-2]},\n "figures": {json.dumps(figures)}\n}}\n'
 
 
 def _origin() -> Origin:
-    """Return the running command, and the commit of the working folder."""
+    """Return the running command and the commit of the working folder."""
     return Origin(command=" ".join([Path(sys.argv[0]).name, *sys.argv[1:]]), commit=_commit())
 
 
 def _commit() -> str:
-    """Return the commit of the working folder, empty where there is none."""
+    """Return the commit of the working folder, or "" outside a repository."""
     try:
         answer = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     except OSError:

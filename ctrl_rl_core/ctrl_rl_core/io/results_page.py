@@ -1,4 +1,4 @@
-"""The page of results: a table for each results file, folded, under a heading in words."""
+"""The page of results: a collapsible table for each results file, under a readable heading."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _KINDS = (
     (r"ttr_training_(.*)_ttr", r"Learning by the time to reach: \1"),
     (r"ttr_(.*)", r"Time to reach: \1"),
 )
-"""Names of results files, and the words that they stand for."""
+"""Readable names for the name parts of results files."""
 _SPELT = {"barn": "BARN", "mpc": "MPC", "quad": "quadrotor"}
 
 
 def results_page(folder: Path, link: str = "results") -> str:
-    """Return all results of a folder as a page of tables, each figure beside the thesis's or a peer's.
+    """Return the results of a folder as a page of tables, with the thesis's or other published values alongside.
 
     Args:
-        folder: Folder of the JSON files.
-        link: The same folder as seen from the page.
+        folder: Folder with the JSON files.
+        link: Path of the folder relative to the page.
 
     Raises:
-        ResultsError: A file cannot be read, or holds something else.
+        ResultsError: A file cannot be read or has other content.
     """
     lines = ["# Results", "", "Made from the JSON files in `docs/results/` by `make results`; do not edit."]
     for file in sorted(folder.glob("*.json")):
@@ -46,7 +46,7 @@ def results_page(folder: Path, link: str = "results") -> str:
 
 
 def heading(stem: str) -> str:
-    """Return the name of a results file in words."""
+    """Return the readable name of a results file."""
     words = next((re.sub(name, words, stem) for name, words in _KINDS if re.fullmatch(name, stem)), stem)
     spelt = [_SPELT.get(word, word) for word in re.split(r"[_ ]", words)]
     text = " ".join(spelt)
@@ -54,7 +54,7 @@ def heading(stem: str) -> str:
 
 
 def benchmark_lines(benchmarks: Sequence[Benchmark]) -> list[str]:
-    """Return the lines of the benchmarks; none where there are none."""
+    """Return the lines of the benchmark table; empty without benchmarks."""
     if not benchmarks:
         return []
     lines = ["", "## Benchmarks", "", "    make bench", "", "Each figure and its peer were measured in one run."]
@@ -66,7 +66,7 @@ def benchmark_lines(benchmarks: Sequence[Benchmark]) -> list[str]:
 
 
 def _head(experiment: Experiment) -> list[str]:
-    """Return the commands that measured an experiment's rows, and how its figures are written."""
+    """Return the commands that measured an experiment's rows, and the notation of its values."""
     methods: dict[Origin, dict[str, None]] = {}
     for row in experiment.rows:
         for origin in row.origins:
@@ -80,7 +80,7 @@ def _head(experiment: Experiment) -> list[str]:
 
 
 def _notation(experiment: Experiment) -> str:
-    """Return how many seeds stand behind the figures, and what is written beside a mean."""
+    """Describe the number of seeds behind the values, and the spread shown beside a mean."""
     remark = ""
     if len(experiment.seeds) > 1:
         counts: dict[str, int] = {}
@@ -97,7 +97,7 @@ def _notation(experiment: Experiment) -> str:
 
 
 def _table(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each method, a column for each metric."""
+    """Return a table with a row per method and a column per metric."""
     units = {row.metric: "" if row.unit == "1" else f" [{row.unit}]" for row in rows}
     cells = {(row.method, row.metric): _cell(row) for row in rows}
     head = ["method", *(f"{metric}{unit}" for metric, unit in units.items())]

@@ -1,4 +1,4 @@
-"""Map files of map_server: a YAML file with resolution, origin and thresholds, and the image that it names."""
+"""Map files in the format of map_server: a YAML file with resolution, origin and thresholds, and its image."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from ctrl_rl_core.io.file_checks import FileError, open_file, raise_as
 from ctrl_rl_core.io.schema import Number, Schema
 
 _LARGEST_IMAGE = 200_000_000
-"""Size of an image file, at most [bytes]."""
+"""Maximum size of an image file [bytes]."""
 _FORMATS = ("PPM", "PNG", "BMP")
 _OPAQUE = _LARGEST_BYTE = 255
 _DARK, _LIGHT, _GREY = 0, 254, 205
-"""Shades of occupied, free and unknown cells, as map_saver writes them."""
+"""Grey levels of occupied, free and unknown cells, as written by map_saver."""
 _FREE_OF_SAVER = 0.196
-"""Threshold by which its grey is unknown. The 0.25 that it wrote until 2025 made it free (navigation2 #5278)."""
+"""Threshold that makes map_saver's grey unknown. The 0.25 written until 2025 made it free (navigation2 #5278)."""
 
 Origin = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class MapFileError(CtrlRlError):
-    """A map file cannot be read; the message names the file and the fault."""
+    """A map file cannot be read; the message names the file and the error."""
 
 
 class _Header(Schema):
-    """Keys of the YAML file, with map_server's defaults; keys that it does not know are left alone here, too."""
+    """Keys of the YAML file, with map_server's defaults; unknown keys are ignored, as in map_server."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -59,14 +59,14 @@ class _Header(Schema):
 
 
 def read_map(path: str | os.PathLike[str], most: int) -> tuple[NDArray[np.int8], float, Origin]:
-    """Return occupancies (rows, columns) from 0 to 100, -1 unknown, with row 0 below; resolution [m]; origin.
+    """Return occupancies (rows, columns) from 0 to 100 or -1 for unknown, bottom row first; resolution [m]; origin.
 
     Args:
         path: Path of the YAML file.
-        most: Largest number of cells that are read.
+        most: Maximum number of cells.
 
     Raises:
-        MapFileError: A file is missing or wrong.
+        MapFileError: A file is missing or invalid.
     """
     with raise_as(MapFileError, path):
         header = _Header.model_validate(read_yaml(path))
@@ -78,7 +78,7 @@ def read_map(path: str | os.PathLike[str], most: int) -> tuple[NDArray[np.int8],
 
 
 def write_map(path: Path, cells: NDArray[np.int8], resolution: float, origin: Origin) -> None:
-    """Write a map of occupied (100), free (0) and unknown (-1) cells; the image lies beside the YAML file.
+    """Write a map of occupied (100), free (0) and unknown (-1) cells, with the image beside the YAML file.
 
     Raises:
         OSError: A file cannot be written.
@@ -94,12 +94,12 @@ def write_map(path: Path, cells: NDArray[np.int8], resolution: float, origin: Or
 
 
 def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-    """Return shades (rows, columns) from black 0 to white 1 with the upper row first, and which pixels are opaque.
+    """Return grey levels (rows, columns) from black 0 to white 1, top row first, and which pixels are opaque.
 
     Args:
         path: Path of the image.
-        most: Largest number of pixels that are read.
-        with_alpha: Whether opacity counts as a fourth colour, as in map_server's trinary mode.
+        most: Maximum number of pixels.
+        with_alpha: Whether alpha counts as a fourth colour channel, as in map_server's trinary mode.
     """
     with open_file(path, _LARGEST_IMAGE) as (file, _):
         check_png(file)
@@ -127,14 +127,14 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
 
 
 def _netpbm(file: BinaryIO, begin: int, shape: tuple[int, int, int], largest: int, decoder: str) -> NDArray[np.float32]:
-    """Return the shades of a PGM or PPM of plain text or of an unusual range, which Pillow reads number by number.
+    """Return the grey levels of a PGM or PPM file in ASCII or with an unusual range, which Pillow reads slowly.
 
     Args:
-        file: The image.
-        begin: Place of the first pixel.
-        shape: Rows, columns and colours.
-        largest: Number of a white pixel.
-        decoder: Pillow's name of the encoding.
+        file: Image content.
+        begin: Offset of the first pixel.
+        shape: Rows, columns and channels.
+        largest: Value of a white pixel.
+        decoder: Pillow's name for the encoding.
     """
     file.seek(begin)
     content, count = file.read(), shape[0] * shape[1] * shape[2]
@@ -149,7 +149,7 @@ def _netpbm(file: BinaryIO, begin: int, shape: tuple[int, int, int], largest: in
 
 
 def _percent(header: _Header, occupancy: NDArray[np.float32], opaque: NDArray[np.bool_] | None) -> NDArray[np.int8]:
-    """Return occupancies in percent, -1 for unknown, by the rules of map_server's modes."""
+    """Convert grey levels to occupancies in percent, -1 for unknown, by the rules of map_server's modes."""
     if header.mode == "raw":
         shades = np.rint(255.0 * (occupancy if header.negate else 1.0 - occupancy)).astype(np.int16)
         return np.where(shades <= 100, shades, -1).astype(np.int8)

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 """Values of a cell, as in nav_msgs/OccupancyGrid."""
 MOST_CELLS = 25_000_000
-"""Largest number of cells of a map: 250 m by 250 m at 5 cm."""
+"""Maximum number of cells of a map: 250 m by 250 m at 5 cm."""
 _FREE_UP_TO, _OCCUPIED_FROM = 25, 65
-"""Percentages of a message or file up to which a cell is free, and from which on it is occupied."""
+"""Occupancy percentages up to which a cell is free, and from which it is occupied."""
 _RESOLUTION = (1e-3, 10.0)
 _FARTHEST = 1e6
 _LARGEST_TILT = 1e-3
@@ -37,20 +37,20 @@ Cells = NDArray[np.int8]
 
 
 class MapError(CtrlRlError):
-    """A map cannot be read or used; the message is the reason."""
+    """A map cannot be read or used; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap:
-    """Cells of a plane; row 0 lies at the origin, and rows go up along y, as in nav_msgs/OccupancyGrid.
+    """A grid of cells; row 0 lies at the origin, and rows increase along y, as in nav_msgs/OccupancyGrid.
 
     Attributes:
-        cells: FREE, OCCUPIED or UNKNOWN (rows, columns), not writable.
+        cells: FREE, OCCUPIED or UNKNOWN (rows, columns), read-only.
         resolution: Side length of a cell [m].
         origin: Outer corner of cell (0, 0) and direction of the rows: x, y, yaw [m, m, rad].
 
     Raises:
-        MapError: There are no cells, too many, or a number is not finite or out of range.
+        MapError: There are no or too many cells, or a number is not finite or out of range.
     """
 
     cells: Cells
@@ -72,7 +72,7 @@ class OccupancyMap:
         object.__setattr__(self, "origin", tuple(map(float, self.origin)))
 
     def is_same(self, other: OccupancyMap) -> bool:
-        """Return whether another map has the same cells at the same places."""
+        """Return whether another map has the same cells at the same positions."""
         same = (self.resolution, self.origin) == (other.resolution, other.origin)
         return same and np.array_equal(self.cells, other.cells)
 
@@ -80,10 +80,10 @@ class OccupancyMap:
     def from_percent(
         cls, percent: NDArray[np.integer], resolution: float, origin: tuple[float, float, float]
     ) -> OccupancyMap:
-        """Return a map from occupancies (rows, columns): 0 to 100, -1 unknown; between 25 and 65 is unknown, too.
+        """Create a map from occupancies (rows, columns): 0 to 100, or -1 for unknown; 25 to 65 also counts as unknown.
 
         Raises:
-            MapError: As for the class, or an occupancy is none.
+            MapError: As for the class, or an occupancy is invalid.
         """
         if percent.size and not (percent.min() >= UNKNOWN and percent.max() <= OCCUPIED):
             raise MapError(f"occupancies from {percent.min()} to {percent.max()}: must be -1 to 100")
@@ -94,10 +94,10 @@ class OccupancyMap:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> OccupancyMap:
-        """Read the YAML file of a map and the image that it names, as map_server does.
+        """Read a map's YAML file and its image, as map_server does.
 
         Raises:
-            MapError: A file is missing or wrong; the message names it.
+            MapError: A file is missing or invalid; the message names it.
         """
         try:
             return cls.from_percent(*read_map(path, MOST_CELLS))
@@ -116,10 +116,10 @@ class OccupancyMap:
 
     @classmethod
     def from_message(cls, message: Any) -> OccupancyMap:
-        """Return the map of a nav_msgs/OccupancyGrid, from rclpy or from a bag.
+        """Create a map from a nav_msgs/OccupancyGrid, from rclpy or a bag.
 
         Raises:
-            MapError: The message contradicts itself, or a number is out of range.
+            MapError: The message is inconsistent, or a number is out of range.
         """
         info, pose = message.info, message.info.origin
         rows, columns = int(info.height), int(info.width)
@@ -140,7 +140,7 @@ class OccupancyMap:
 
         Args:
             stamp: Time stamp, a builtin_interfaces/Time.
-            frame: Frame in which the origin is given.
+            frame: Frame of the origin.
         """
         from nav_msgs.msg import OccupancyGrid
 
@@ -156,12 +156,12 @@ class OccupancyMap:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Lengths along the columns and along the rows [m]."""
+        """Side lengths along the columns and along the rows [m]."""
         rows, columns = self.cells.shape
         return columns * self.resolution, rows * self.resolution
 
     def to_grid(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return the row and column (..., 2) of points (..., 2) [m], as real numbers: 0.0 is the middle of cell 0."""
+        """Return fractional rows and columns (..., 2) of points (..., 2) [m]; 0.0 is the centre of cell 0."""
         x, y, yaw = self.origin
         offset = np.asarray(points, np.float64) - (x, y)
         c, s = math.cos(yaw), math.sin(yaw)
@@ -169,12 +169,12 @@ class OccupancyMap:
         return np.stack((aside, along), axis=-1) / self.resolution - 0.5
 
     def world_to_cell(self, points: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows (...) and columns (...) of the cells that hold points (..., 2) [m], also off the map."""
+        """Return rows (...) and columns (...) of the cells that contain points (..., 2) [m], also off the map."""
         grid = np.floor(np.clip(self.to_grid(points) + 0.5, -1e9, 1e9)).astype(np.intp)
         return grid[..., 0], grid[..., 1]
 
     def cell_to_world(self, rows: ArrayLike, columns: ArrayLike) -> NDArray[np.float64]:
-        """Return the middles (..., 2) of cells [m]."""
+        """Return the centres (..., 2) of cells [m]."""
         x, y, yaw = self.origin
         along = (np.asarray(columns, np.float64) + 0.5) * self.resolution
         aside = (np.asarray(rows, np.float64) + 0.5) * self.resolution
@@ -182,7 +182,7 @@ class OccupancyMap:
         return np.stack((x + c * along - s * aside, y + s * along + c * aside), axis=-1)
 
     def at(self, points: ArrayLike) -> Cells:
-        """Return the values (...) of the cells that hold points (..., 2) [m]; UNKNOWN off the map."""
+        """Return the values (...) of the cells that contain points (..., 2) [m]; UNKNOWN outside the map."""
         rows, columns = self.world_to_cell(points)
         height, width = self.cells.shape
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
@@ -190,10 +190,10 @@ class OccupancyMap:
         return out
 
     def clearance(self, unknown_is_free: bool = False) -> NDArray[np.float32]:
-        """Return the distance from the middle of each cell to the nearest blocked one (rows, columns) [m].
+        """Return the distance from each cell's centre to the nearest blocked cell (rows, columns) [m].
 
-        Occupied cells block, and so do unknown ones and all that lies off the map unless `unknown_is_free`.
-        The distance is that to a disc as wide as a cell, so that at a corner it is up to 0.2 cells too large.
+        Occupied cells block; so do unknown cells and everything outside the map, unless `unknown_is_free`. A blocked
+        cell counts as a disc of its width, so at a corner the distance is up to 0.2 cells too large.
         """
         blocked = self.cells == OCCUPIED
         if not unknown_is_free:
@@ -206,7 +206,7 @@ class OccupancyMap:
         return (distance if unknown_is_free else distance[1:-1, 1:-1]).astype(np.float32)
 
     def boxes(self) -> tuple[Box, ...]:
-        """Return rectangles that cover the occupied cells exactly, none twice: obstacles of a task."""
+        """Return non-overlapping rectangles that cover the occupied cells exactly, as obstacles of a task."""
         occupied = self.cells == OCCUPIED
         wide, high = _rectangles(occupied), _rectangles(occupied.T)
         sides = wide if len(wide) <= len(high) else [(left, right, bottom, top) for bottom, top, left, right in high]
@@ -219,7 +219,7 @@ class OccupancyMap:
 
 
 def _rectangles(occupied: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Return first row, end row, first column, end column of rectangles: equal runs of cells in row after row."""
+    """Merge equal runs of cells in consecutive rows into rectangles: first row, end row, first column, end column."""
     begun: dict[tuple[int, int], int] = {}  # first and end column of a run: the row that it began in
     out = []
     for row, cells in enumerate((*occupied, np.zeros(occupied.shape[1], np.bool_))):

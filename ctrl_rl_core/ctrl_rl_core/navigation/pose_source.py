@@ -1,4 +1,4 @@
-"""The pose of a robot in the frame of a map: from transforms, or from a localiser's pose and the odometry since."""
+"""The pose of a robot in the map frame, from transforms or from a localiser's pose plus odometry."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Array = NDArray[np.float64]
 POSE_SOURCES = ("tf", "amcl_pose")
 """Names of the sources: the transform from map to base, or the topic amcl_pose."""
 FARTHEST_WITHOUT_POSE = 3.0
-"""Way that odometry alone is trusted after a localiser's pose [m]."""
+"""Maximum distance over which odometry alone is trusted after a localiser's pose [m]."""
 _MOST_READINGS = 600
 _NEAR_NS = 500_000_000
 
 
 class OdometryTrack:
-    """The latest poses by odometry, in the order of their stamps."""
+    """Recent odometry poses in stamp order."""
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
@@ -32,10 +32,10 @@ class OdometryTrack:
         self.frame = ""
 
     def update(self, message: Any, now: float) -> None:
-        """Take a nav_msgs/Odometry at a steady time [s].
+        """Add a nav_msgs/Odometry received at a steady time [s].
 
         Raises:
-            TransformError: A number is not finite, or the quaternion is no rotation.
+            TransformError: A number is not finite, or the quaternion is not a rotation.
         """
         pose = Transform.from_message(message.pose.pose.position, message.pose.pose.orientation)
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -47,10 +47,10 @@ class OdometryTrack:
         self.heard, self.frame = now, message.header.frame_id.lstrip("/")
 
     def latest(self) -> Transform:
-        """Return the last pose.
+        """Return the latest pose.
 
         Raises:
-            TransformError: There was no odometry yet.
+            TransformError: No odometry has been received.
         """
         if not self._poses:
             raise TransformError("no odometry yet")
@@ -60,7 +60,7 @@ class OdometryTrack:
         """Return the pose at a stamp [ns], or the nearest one within half a second.
 
         Raises:
-            TransformError: The odometry does not reach to that time.
+            TransformError: The odometry does not cover that time.
         """
         place = bisect_left(self._stamps, stamp)
         if 0 < place < len(self._stamps):
@@ -73,19 +73,19 @@ class OdometryTrack:
 
 
 class PoseSource(ABC):
-    """The pose of the robot in the map's frame."""
+    """Provides the robot's pose in the map frame."""
 
     @abstractmethod
     def pose(self, now: float) -> Array:
         """Return the pose (3,) [m, m, rad] at a steady time [s].
 
         Raises:
-            TransformError: It is unknown, or too old.
+            TransformError: The pose is unknown or too old.
         """
 
     @abstractmethod
     def frame_in_map(self, frame: str) -> Transform:
-        """Return the pose of another frame in the map's, for goals that are given in it.
+        """Return the pose of another frame in the map frame, for goals given in that frame.
 
         Raises:
             TransformError: The frame is unknown.
@@ -93,15 +93,15 @@ class PoseSource(ABC):
 
 
 class TransformPose(PoseSource):
-    """The pose from the transform between map and base.
+    """Pose from the transform between map and base.
 
     Attributes:
         base: Frame of the robot; empty while it is unknown.
 
     Args:
-        tree: Transforms that were heard.
+        tree: Transforms received so far.
         map_frame: Frame of the map.
-        timeout: Age of a transform from which on it is too old [s].
+        timeout: Maximum age of a transform [s].
     """
 
     def __init__(self, tree: TransformTree, map_frame: str, timeout: float) -> None:
@@ -124,10 +124,10 @@ class TransformPose(PoseSource):
 
 
 class LocaliserPose(PoseSource):
-    """The pose that a localiser sent last, moved on by odometry.
+    """The last pose from a localiser, extrapolated by odometry.
 
-    A localiser as AMCL sends a pose when the robot has moved, so that an old one may be right: it is not its age that
-    counts but the way since.
+    A localiser such as AMCL sends a pose only after the robot has moved, so an old pose may still be valid: the
+    distance driven since counts, not the age.
     """
 
     def __init__(self, track: OdometryTrack, map_frame: str, timeout: float) -> None:
@@ -136,10 +136,10 @@ class LocaliserPose(PoseSource):
         self._from = np.zeros(3)
 
     def on_pose(self, message: Any) -> None:
-        """Take a geometry_msgs/PoseWithCovarianceStamped.
+        """Process a geometry_msgs/PoseWithCovarianceStamped.
 
         Raises:
-            TransformError: It is in another frame, a number is not finite, or there is no odometry of its time.
+            TransformError: The pose is in another frame, a number is not finite, or no odometry covers its time.
         """
         frame = message.header.frame_id.lstrip("/")
         if frame not in ("", self._map):

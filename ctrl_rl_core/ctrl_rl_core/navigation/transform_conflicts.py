@@ -1,4 +1,4 @@
-"""Transforms that contradict each other: a frame with two parents, and two publishers of one transform. Pure logic."""
+"""Detects conflicting transforms: a frame with two parents, or two publishers of one transform. No ROS."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LASTS_S = 2.0
-"""Time for which a contradiction holds after it was heard last [s]; a localiser may be exchanged once."""
+"""Time for which a conflict is reported after it was last seen [s]; a localiser may be replaced once."""
 _JUMP, _SWING = 0.1, 0.2
-"""Way [m] and turn [rad] from one message to the next from which on a transform jumps ..."""
+"""Distance [m] and rotation [rad] between consecutive messages from which a transform counts as jumping ..."""
 _SPEED, _RATE = 2.5, 6.0
-"""... if it is also faster than a robot [m/s, rad/s]."""
+"""... if it also exceeds the speeds of a robot [m/s, rad/s]."""
 _RETURNS = 2
-"""Jumps to and back again that tell two publishers from a correction, which comes once."""
+"""Number of jumps back and forth that indicates two publishers rather than a single correction."""
 _MOST_PARENTS = 8
 
 
 @dataclass
 class _Child:
-    """What was heard of one frame.
+    """Transforms received for one child frame.
 
     Attributes:
-        parents: Steady time at which each parent was heard last [s]; infinite for one of /tf_static.
-        recent: The last three poses by one parent: parent, stamp [s], position (3,) [m] and heading [rad].
-        returns: Steady times [s] of jumps to and back again, with their size in words.
+        parents: Steady time at which each parent was last seen [s]; infinite for one from /tf_static.
+        recent: Last three poses from one parent: parent, stamp [s], position (3,) [m] and heading [rad].
+        returns: Steady times [s] of jumps back and forth, with descriptions of their size.
     """
 
     parents: dict[str, float] = field(default_factory=dict)
@@ -38,22 +38,22 @@ class _Child:
 
 
 class TransformConflicts:
-    """Notes all transforms, and tells which contradict each other."""
+    """Records transforms and reports conflicts between them."""
 
     def __init__(self) -> None:
         self._children: dict[str, _Child] = {}
 
     def note(self, parent: str, child: str, place: Array, yaw: float, stamp: int, now: float, fixed: bool) -> None:
-        """Take a transform.
+        """Record a transform.
 
         Args:
-            parent: Frame in which the pose is given.
-            child: Frame whose pose it is.
+            parent: Parent frame.
+            child: Child frame.
             place: Position (3,) [m].
             yaw: Heading of the child in the parent [rad].
-            stamp: Time for which it holds [ns].
+            stamp: Stamp of the transform [ns].
             now: Steady time [s].
-            fixed: Whether it came on /tf_static.
+            fixed: Whether the transform was received on /tf_static.
         """
         known = self._children.setdefault(child, _Child())
         if parent in known.parents or len(known.parents) < _MOST_PARENTS:
@@ -65,7 +65,7 @@ class TransformConflicts:
             known.returns.append((now, words))
 
     def fault(self, frames: list[str], now: float) -> str:
-        """Return what contradicts what among the transforms to some frames at a steady time [s]; empty for nothing."""
+        """Describe conflicts among the transforms to some frames at a steady time [s]; empty if there are none."""
         for child in frames:
             known = self._children.get(child)
             if known is None:
@@ -79,7 +79,7 @@ class TransformConflicts:
         return ""
 
     def any_fault(self, now: float) -> str:
-        """Return the first contradiction of all frames; empty for none."""
+        """Describe the first conflict among all frames; empty if there is none."""
         return self.fault(sorted(self._children), now)
 
 
@@ -88,7 +88,7 @@ def _returned(
     second: tuple[str, float, Array, float],
     third: tuple[str, float, Array, float],
 ) -> str:
-    """Return the size of a jump from the first pose to the second and back; empty where there is none."""
+    """Describe the size of a jump from the first pose to the second and back; empty if there is none."""
     if not first[0] == second[0] == third[0]:
         return ""
     way, back = (float(np.linalg.norm(each[2] - first[2])) for each in (second, third))

@@ -1,4 +1,4 @@
-"""Transforms between frames by time, as tf2 keeps them, without ROS; tf2_msgs/TFMessage feeds them."""
+"""Time-indexed transforms between frames, as in tf2 but without ROS; fed with tf2_msgs/TFMessage."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from ctrl_rl_core.sensing.pose import PoseError, read_pose, yaw_of
 Array = NDArray[np.float64]
 
 MOST_FRAMES = 1000
-"""Largest number of frames; a robot has a few dozen."""
+"""Maximum number of frames; a robot has a few dozen."""
 _MOST_SAMPLES = 1000
 _LONGEST_NAME = 200
 _SLACK_NS = 500_000_000
-"""A transform holds this long before its first and after its last stamp [ns]."""
+"""Extrapolation allowed before the first and after the last stamp of a transform [ns]."""
 
 
 class TransformError(CtrlRlError):
-    """A transform is missing, too old, or wrong; the message is the reason."""
+    """A transform is missing, too old or invalid; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """The pose of a frame in its parent.
+    """The pose of a frame in its parent frame.
 
     Attributes:
         translation: Position of the frame's origin (3,) [m].
-        rotation: Unit quaternion x, y, z, w of its axes (4,).
+        rotation: Orientation as a unit quaternion x, y, z, w (4,).
     """
 
     translation: Array
@@ -42,16 +42,16 @@ class Transform:
 
     @classmethod
     def planar(cls, x: float, y: float, yaw: float) -> Transform:
-        """Return a transform in the x-y plane [m, m, rad]."""
+        """Create a transform in the x-y plane [m, m, rad]."""
         rotation = np.array((0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
         return cls(np.array((x, y, 0.0)), rotation)
 
     @classmethod
     def from_message(cls, translation: Any, rotation: Any) -> Transform:
-        """Return the transform of a message's translation or position, and quaternion.
+        """Create a transform from a message's translation or position, and quaternion.
 
         Raises:
-            TransformError: A number is not finite or far too large, or the quaternion is no rotation.
+            TransformError: A number is not finite or far too large, or the quaternion is not a rotation.
         """
         try:
             pose = read_pose(translation, rotation)
@@ -60,13 +60,13 @@ class Transform:
         return cls(pose[:3], pose[3:])
 
     def __matmul__(self, other: Transform) -> Transform:
-        """Return this transform after another one."""
+        """Compose: apply `other` first, then this transform."""
         return Transform(
             self.translation + _rotate(self.rotation, other.translation), _multiply(self.rotation, other.rotation)
         )
 
     def inverse(self) -> Transform:
-        """Return the transform the other way round."""
+        """Return the inverse transform."""
         back = self.rotation * (-1.0, -1.0, -1.0, 1.0)
         return Transform(-_rotate(back, self.translation), back)
 
@@ -76,7 +76,7 @@ class Transform:
         return np.array((self.translation[0], self.translation[1], yaw_of(*self.rotation.tolist())))
 
     def between(self, other: Transform, share: float) -> Transform:
-        """Return the transform at a share of the way to another one, 0 to 1, at constant speed and turn rate."""
+        """Interpolate to another transform at a fraction from 0 to 1, at constant speed and turn rate."""
         first, second = self.rotation, other.rotation
         cosine = float(first @ second)
         if cosine < 0.0:
@@ -92,7 +92,7 @@ class Transform:
 
 @dataclass
 class _Link:
-    """Samples of the transform from a frame to its parent, in the order of their stamps."""
+    """Samples of the transform from a frame to its parent, in stamp order."""
 
     parent: str
     fixed: bool
@@ -130,10 +130,10 @@ class _Link:
 
 
 class TransformTree:
-    """Transforms of all frames that were heard of.
+    """Transforms of all frames received so far.
 
     Args:
-        memory: Time for which transforms are kept [s].
+        memory: Duration of the transform history [s].
     """
 
     def __init__(self, memory: float = 10.0) -> None:
@@ -142,12 +142,12 @@ class TransformTree:
         self._conflicts = TransformConflicts()
 
     def update(self, message: Any, now: float, fixed: bool = False) -> str:
-        """Take a tf2_msgs/TFMessage and return what was refused of it; empty for nothing.
+        """Process a tf2_msgs/TFMessage, and describe the transforms that were rejected; empty for none.
 
         Args:
             message: Message of /tf or /tf_static, from rclpy or from a bag.
             now: Steady time [s].
-            fixed: Whether it came on /tf_static.
+            fixed: Whether the message was received on /tf_static.
         """
         refused = ""
         for each in message.transforms:
@@ -160,18 +160,18 @@ class TransformTree:
         return refused
 
     def set(self, parent: str, child: str, transform: Transform, stamp: int, now: float, fixed: bool = False) -> None:
-        """Take one transform.
+        """Add one transform.
 
         Args:
-            parent: Frame in which the pose is given.
-            child: Frame whose pose it is.
-            transform: Pose of the child in its parent.
-            stamp: Time for which it holds [ns].
+            parent: Parent frame.
+            child: Child frame.
+            transform: Pose of the child in the parent.
+            stamp: Stamp of the transform [ns].
             now: Steady time [s].
-            fixed: Whether it holds for all times.
+            fixed: Whether the transform is static.
 
         Raises:
-            TransformError: A frame has no name, the frames would form a circle, or there are too many.
+            TransformError: A frame has no name, the frames would form a cycle, or there are too many frames.
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if not (parent and child) or max(len(parent), len(child)) > _LONGEST_NAME:
@@ -191,12 +191,12 @@ class TransformTree:
         """Return the pose of the frame `source` in the frame `target`.
 
         Args:
-            target: Frame in which the pose is given.
-            source: Frame whose pose it is.
-            stamp: Time for which the pose is asked [ns]; None for the latest of each link.
+            target: Frame in which the pose is expressed.
+            source: Frame whose pose is returned.
+            stamp: Time of the pose [ns]; None for the latest of each link.
 
         Raises:
-            TransformError: No chain of transforms joins the frames, or one does not reach to the time.
+            TransformError: The frames are not connected, or a transform does not cover the time.
         """
         ups, downs = self._ways(target, source)
         out = Transform.planar(0.0, 0.0, 0.0)
@@ -208,19 +208,19 @@ class TransformTree:
         return back.inverse() @ out
 
     def age(self, target: str, source: str, now: float) -> float:
-        """Return the time since the longest silent link between two frames was heard [s]; fixed ones do not count.
+        """Return the age of the oldest link between two frames [s]; static links do not count.
 
         Raises:
-            TransformError: No chain of transforms joins the frames.
+            TransformError: The frames are not connected.
         """
         links = [self._links[frame] for way in self._ways(target, source) for frame in way]
         return max((now - link.heard for link in links if not link.fixed), default=0.0)
 
     def contradiction(self, target: str, source: str, now: float) -> str:
-        """Return what contradicts what among the transforms between two frames at a steady time [s]; empty for nothing.
+        """Describe conflicts among the transforms between two frames at a steady time [s]; empty if there are none.
 
         Raises:
-            TransformError: No chain of transforms joins the frames.
+            TransformError: The frames are not connected.
         """
         return self._conflicts.fault([frame for way in self._ways(target, source) for frame in way], now)
 
@@ -232,14 +232,14 @@ class TransformTree:
             raise TransformError(f"the transform from '{link.parent}' to '{frame}' was asked {error}") from None
 
     def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame and all that lie above it, the nearest first."""
+        """Return a frame and all its ancestors, nearest first."""
         out = [frame]
         while (link := self._links.get(out[-1])) is not None:
             out.append(link.parent)
         return out
 
     def _ways(self, target: str, source: str) -> tuple[list[str], list[str]]:
-        """Return the frames from `target` and from `source` up to, and without, their common ancestor."""
+        """Return the frames from `target` and from `source` up to, but excluding, their common ancestor."""
         target, source = target.lstrip("/"), source.lstrip("/")
         above_target, above_source = self._ancestors(target), self._ancestors(source)
         shared = next((frame for frame in above_source if frame in above_target), None)
@@ -273,7 +273,7 @@ def _multiply(p: Array, q: Array) -> Array:
 
 
 def _rotate(q: Array, point: Array) -> Array:
-    """Return a point (3,) turned by a quaternion x, y, z, w."""
+    """Rotate a point (3,) by a quaternion x, y, z, w."""
     axis, w = q[:3], q[3]
     cross = 2.0 * np.cross(axis, point)
     turned: Array = point + w * cross + np.cross(axis, cross)

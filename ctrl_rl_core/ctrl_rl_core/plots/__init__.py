@@ -1,4 +1,4 @@
-"""How all pictures of the suite are drawn; nothing else names a colour, a size or a font. Only pictures import it."""
+"""Shared drawing code for all figures; the only place that defines colours, sizes and fonts."""
 
 from ctrl_rl_core.plots.curves import (
     MOST_LINES,

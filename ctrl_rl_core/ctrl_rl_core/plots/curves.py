@@ -1,4 +1,4 @@
-"""Pictures of learning: curves over environment steps, and what the seeds came to at the end."""
+"""Learning curves over environment steps, and final results per seed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ STEPS = "environment steps [thousands]"
 SUCCESS, RETURN = "success [%]", "return"
 MOST_LINES, MOST_PANELS = 5, 6
 _BAND_FROM = 10
-"""Number of seeds from which on their mean has a band; fewer are drawn as lines."""
+"""Minimum number of seeds for a confidence band; fewer seeds are drawn as lines."""
 _POINTS_TO = 2
-"""Number of seeds that are drawn as points: no line is a mean of so few."""
+"""Maximum number of seeds drawn as points; too few for a mean line."""
 _COLUMNS = 3
 _RESAMPLES = 1000
 _NAME_LENGTH = 26
@@ -33,11 +33,11 @@ _MARKERS = "osD^v"
 
 @dataclass(frozen=True)
 class Line:
-    """A method's evaluations while it learnt.
+    """Evaluations of a method during training.
 
     Attributes:
-        method: Name of the method, which has its style.
-        label: Name in the picture.
+        method: Name of the method, which selects the line style.
+        label: Label in the figure.
         steps: Environment steps (n,).
         values: Result of each seed at each step (seeds, n).
     """
@@ -49,21 +49,21 @@ class Line:
 
     @property
     def name(self) -> str:
-        """Name with the number of seeds."""
+        """Label with the number of seeds."""
         return f"{self.label} (n\u00a0=\u00a0{len(self.values)})"  # not broken over two lines
 
     @property
     def end(self) -> float:
-        """Mean over the seeds at the end."""
+        """Mean over the seeds at the last step."""
         return float(np.mean(np.asarray(self.values, dtype=float)[:, -1]))
 
 
 def line_of(method: str, label: str, curve: Mapping[str, Any], key: str = "values") -> Line:
-    """Return a line of a results file's curve; a success rate in per cent, from 0 before learning.
+    """Create a line from a curve of a results file: success rate in per cent, starting at 0 before training.
 
     Args:
         method: Name of the method.
-        label: Name in the picture.
+        label: Label in the figure.
         curve: `samples` (n,), and values of the seeds (seeds, n) under `key`.
         key: Name of the values, such as "success".
     """
@@ -80,8 +80,8 @@ class Panel:
     Attributes:
         title: Name of the task or learner; empty for a single panel.
         lines: At most `MOST_LINES` lines.
-        limits: Heights of thin lines across the panel by name, such as the largest return.
-        published: Figures of others by name: environment steps and mean.
+        limits: Values of thin horizontal lines by name, such as the maximum return.
+        published: Published results by name: environment steps and mean.
         missing: Methods that were not run, named in the panel.
     """
 
@@ -95,15 +95,15 @@ class Panel:
 def draw_learning(
     path: Path, title: str, panels: Sequence[Panel], measure: str = SUCCESS, orders_of_magnitude: float | None = None
 ) -> None:
-    """Draw what methods came to while they learnt: seeds as thin lines, from 10 seeds on a bootstrapped 95 % band.
+    """Draw learning curves: seeds as thin lines, with a bootstrapped 95 % band from 10 seeds on.
 
     Args:
         path: File to write.
-        title: Finding in words.
+        title: Finding, as a sentence.
         panels: At most `MOST_PANELS` panels.
-        measure: Measured quantity with its unit; `SUCCESS` goes from 0 to 100.
-        orders_of_magnitude: Least size of what is measured where all of it is negative and orders of magnitude lie
-            between first and last; None for a linear axis.
+        measure: Measured quantity with its unit; `SUCCESS` ranges from 0 to 100.
+        orders_of_magnitude: Minimum magnitude on a logarithmic axis, for all-negative values that span orders of
+            magnitude; None for a linear axis.
     """
     panels = panels[:MOST_PANELS]
     columns = 2 if len(panels) == 4 else min(len(panels), _COLUMNS)
@@ -175,7 +175,7 @@ def _draw_line(ax: Axes, line: Line, style: Style, label: str, last: float) -> N
 
 
 def confidence(values: Array) -> tuple[Array, Array]:
-    """Return the bootstrapped 95 % band (n,) of the mean over seeds, of values (seeds, n)."""
+    """Return the bootstrapped 95 % confidence band (n,) of the mean over seeds, from values (seeds, n)."""
     random = np.random.default_rng(0)
     chosen = random.integers(len(values), size=(_RESAMPLES, len(values)))
     low, high = np.quantile(values[chosen].mean(axis=1), (0.025, 0.975), axis=0)
@@ -190,13 +190,13 @@ def draw_ends(
     measure: str = SUCCESS,
     decimals: int = 0,
 ) -> None:
-    """Draw what the seeds came to at the end: a dot for each, a bar for their mean, the best first.
+    """Draw final results: a dot per seed and a bar for their mean, the best first.
 
     Args:
         path: File to write.
-        title: Finding in words.
-        ends: Values of the seeds by method and, within it, by what was learnt.
-        labels: Names of the methods; at most three are drawn, a panel for each.
+        title: Finding, as a sentence.
+        ends: Values of the seeds, by method and then by learner.
+        labels: Labels of the methods, at most three, each with its own panel.
         measure: Measured quantity with its unit.
         decimals: Decimals of the means.
     """
@@ -233,7 +233,7 @@ def draw_ends(
 
 
 def best_of(lines: Iterable[Line], measure: str = SUCCESS) -> str:
-    """Return how the first and the best of the other lines end, in words."""
+    """Describe the final values of the first line and of the best other line."""
     first, *others = lines
     unit = " %" if measure == SUCCESS else ""
     told = f"{first.label} ends at {first.end:.0f}{unit}"

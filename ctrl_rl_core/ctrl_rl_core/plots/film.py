@@ -1,4 +1,4 @@
-"""Moving pictures: frames of a figure in which few artists move, as an animated GIF that holds its end."""
+"""Animated GIFs: frames of a figure in which a few artists move; the last frame is held."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from ctrl_rl_core.plots.style import set_title, settle, style
 
 Moment = TypeVar("Moment")
 WIDTH = 960
-"""Width of a moving picture [pixels]."""
+"""Width of an animation [pixels]."""
 HOLD = 2.0
-"""How long the last frame stays, so that the end is seen [s]."""
+"""Duration of the last frame, which shows the result [s]."""
 _COLOURS = 128
 _KEPT = (*ROBOTS, BLACK, DANGER, FAINT, GOAL, WALL, "#FFFFFF")
-"""Colours that stay as they are, however few points have them."""
+"""Colours kept exactly in the palette, however few pixels use them."""
 
 
 @contextmanager
 def moving_picture(
     title: str, rows: int = 1, columns: int = 1, *, height: float, **layout: Any
 ) -> Iterator[tuple[Figure, NDArray[Any]]]:
-    """Prepare a moving picture within this context, which `film` writes.
+    """Prepare a figure for an animation within this context; `film` writes it.
 
     Args:
-        title: Finding in words.
+        title: Finding, as a sentence.
         rows: Number of rows of panels.
         columns: Number of panels in a row.
-        height: Height of the picture [in], of `FULL` width.
-        layout: More arguments of matplotlib's `subplots`.
+        height: Height of the figure [in]; its width is `FULL`.
+        layout: Further arguments for matplotlib's `subplots`.
 
     Yields:
         The figure, and its axes (rows, columns).
@@ -65,13 +65,13 @@ def film(
     path: Path,
     frame_time: float = 0.1,
 ) -> None:
-    """Write frames as an animated GIF; the file is there whole or not at all.
+    """Write frames as an animated GIF, atomically.
 
     Args:
-        figure: Figure of `moving_picture`, with all that stays.
+        figure: Figure of `moving_picture`, with all static content.
         moving: Artists that move.
-        moments: At least one moment, a frame each.
-        show: Moves the artists to a moment.
+        moments: At least one moment; each gives a frame.
+        show: Updates the artists for a moment.
         path: File to write.
         frame_time: Duration of a frame [s].
     """

@@ -1,4 +1,4 @@
-"""Maps: a task's world, and values and counts over it."""
+"""Maps: a task's world, with values or counts drawn over it."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None, wor
     """Draw walls, obstacles and goal in the task's plane [m].
 
     Args:
-        axes: To draw on.
-        task: Task whose world is drawn.
+        axes: Axes to draw on.
+        task: Task with the world to draw.
         width: Free width of its corridor [m]; None for the task's own.
         words: Whether to write the word "goal".
     """
@@ -45,7 +45,7 @@ def draw_world(axes: Axes, task: NavigationTask, width: float | None = None, wor
 
 
 def draw_map(axes: Axes, task: NavigationTask, width: float | None = None, words: bool = True) -> None:
-    """Draw the task's world, with axes [m] over the space within its walls."""
+    """Draw the task's world, with axes [m] that span the space within its walls."""
     draw_world(axes, task, width, words)
     (across, sides), (up, height) = task.plane_bounds.items()
     axes.set_xlim(sides)
@@ -54,7 +54,7 @@ def draw_map(axes: Axes, task: NavigationTask, width: float | None = None, words
 
 
 def name_axes(axes: Axes, across: str, up: str) -> None:
-    """Name the axes of a map, and say from where it is seen."""
+    """Label the axes of a map, including the viewpoint."""
     axes.set_xlabel(f"{across} [m], {_SEEN['x' + up]}")
     axes.set_ylabel(f"{up} [m]")
     axes.set_aspect("equal")
@@ -69,19 +69,20 @@ def draw_values(
     span: tuple[float, float] | None = None,
     step: float | None = None,
 ) -> Any:
-    """Draw values over a map, bright where they are good, with white contours at round steps.
+    """Draw values over a map, bright for good ones, with white contours at round steps.
 
     Args:
-        axes: To draw on.
-        across: Places to the right (m,) [m].
-        up: Places upwards (n,) [m].
-        values: Values (n, m); what is not finite is hatched.
-        kind: "time" (short ones are good), "return" (high ones are good), or "signed" (around 0, with its zero level).
-        span: Least and largest value; None for those that are there.
-        step: Step of the contours; None for a round one.
+        axes: Axes to draw on.
+        across: Horizontal coordinates (m,) [m].
+        up: Vertical coordinates (n,) [m].
+        values: Values (n, m); non-finite ones are hatched.
+        kind: "time" (lower is better), "return" (higher is better), or "signed" (centred at 0, with the zero level
+            drawn).
+        span: Minimum and maximum of the colour scale; None for those of the values.
+        step: Contour interval; None to choose a round one.
 
     Returns:
-        The image, for a colour bar.
+        The image, for use in a colour bar.
     """
     x, y, shown = np.asarray(across), np.asarray(up), np.ma.masked_invalid(np.asarray(values, dtype=float))
     axes.add_patch(
@@ -106,17 +107,17 @@ def draw_values(
 
 
 def draw_counts(axes: Axes, across: ArrayLike, up: ArrayLike, counts: ArrayLike, most: float) -> Any:
-    """Draw how often places were met, on a logarithmic scale.
+    """Draw visit counts on a logarithmic scale.
 
     Args:
-        axes: To draw on.
-        across: Edges of the cells to the right (m + 1,) [m].
-        up: Edges of the cells upwards (n + 1,) [m].
+        axes: Axes to draw on.
+        across: Horizontal cell edges (m + 1,) [m].
+        up: Vertical cell edges (n + 1,) [m].
         counts: Counts (n, m).
         most: Count of the darkest cell.
 
     Returns:
-        The image, for a colour bar.
+        The image, for use in a colour bar.
     """
     look: dict[str, Any] = {"cmap": COUNTS, "norm": LogNorm(1.0, max(most, 2.0))}
     shown = np.ma.masked_less(np.asarray(counts, dtype=float), 1.0)
@@ -124,14 +125,14 @@ def draw_counts(axes: Axes, across: ArrayLike, up: ArrayLike, counts: ArrayLike,
 
 
 def contour_levels(low: float, high: float, step: float | None = None) -> Array:
-    """Return levels at round steps between two values, so many that they can be told apart unless a step is given."""
+    """Return contour levels at round steps between two values, few enough to be distinct unless a step is given."""
     step = step or next((step for step in _STEPS if (high - low) / step <= _MOST_CONTOURS), _STEPS[-1])
     levels = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     return levels[(levels > low) & (levels < high)]
 
 
 def draw_landmark(axes: Axes, name: str, place: ArrayLike) -> None:
-    """Draw a place with its name [m]."""
+    """Mark a position with its name [m]."""
     x, y = np.asarray(place, dtype=float)
     axes.plot(x, y, "s", color=FAINT, markersize=8, zorder=4)
     word_at(axes, name, (float(x), float(y)))
@@ -165,7 +166,7 @@ def _stretch(path: ArcPath, along: Interval, width: float) -> Polygon:
 
 
 def _centre(patch: Patch) -> tuple[float, float]:
-    """Return the middle of a patch's outline in the units of its axes."""
+    """Return the centre of a patch's outline in axes units."""
     points = patch.get_patch_transform().transform(patch.get_path().vertices)
     low, high = points.min(axis=0), points.max(axis=0)
     return float(0.5 * (low[0] + high[0])), float(0.5 * (low[1] + high[1]))

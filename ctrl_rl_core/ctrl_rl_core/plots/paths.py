@@ -1,4 +1,4 @@
-"""Robots in true size, their paths, and people who cross them."""
+"""Robots to scale, their paths, and people who cross them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ctrl_rl_core.tasks.task import NavigationTask
 Array = NDArray[np.float64]
 _TIME_STEPS, _MOST_MARKS = (10.0, 20.0, 30.0, 60.0, 300.0, 1800.0, np.inf), 10
 _STANDING = 0.05
-"""Distance within which a robot stands [m]."""
+"""Distance within which a robot counts as standing [m]."""
 _SNAPSHOTS = 6
 _EDGE = [patheffects.withStroke(linewidth=4.0, foreground="white")]
 
@@ -40,12 +40,12 @@ def draw_path(
     """Draw a driven or planned path.
 
     Args:
-        axes: To draw on.
-        places: Places (n, 2) [m].
-        planned: Whether it is only planned; it is dashed then.
-        colour: Colour of the line, that of its robot where there are several.
-        times: When it was at each place (n,) [s]; there are no marks of time unless given.
-        every: Least time between two marks, of which there are at most ten; where it stands longer is a square [s].
+        axes: Axes to draw on.
+        places: Positions (n, 2) [m].
+        planned: Whether the path is only planned, and so drawn dashed.
+        colour: Colour of the line; with several robots, that of its robot.
+        times: Time at each position (n,) [s]; None for no time marks.
+        every: Minimum time between two marks, of which there are at most ten [s]; a longer stop is marked by a square.
     """
     x, y = np.asarray(places, dtype=float).T
     axes.plot(x, y, "--" if planned else "-", color=colour, linewidth=2.0, path_effects=_EDGE, zorder=5)
@@ -66,7 +66,7 @@ def draw_path(
 
 
 def stretches_of_standing(times: Array, places: Array, longer: float) -> list[tuple[int, int]]:
-    """Return first and last index of each stretch in which a robot stood for longer than a time [s]."""
+    """Return the first and last index of each interval in which a robot stood for longer than a time [s]."""
     out, first = [], 0
     while first < len(times):
         away = np.flatnonzero(np.linalg.norm(places[first:] - places[first], axis=1) > _STANDING)
@@ -81,7 +81,7 @@ def stretches_of_standing(times: Array, places: Array, longer: float) -> list[tu
 def draw_robot(
     axes: Axes, place: ArrayLike, heading: float, radius: float, colour: str = "white", flies: bool = False
 ) -> None:
-    """Draw a robot in true size: its disc with its heading, or the bar of a planar quadrotor at its pitch."""
+    """Draw a robot to scale: its disc with its heading, or the bar of a planar quadrotor at its pitch."""
     x, y = np.asarray(place, dtype=float)
     if flies:  # its bar lies across its thrust, at pitch psi clockwise
         reach = radius * np.array([np.cos(heading), -np.sin(heading)])
@@ -93,7 +93,7 @@ def draw_robot(
 
 
 def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name: str = "") -> Circle:
-    """Draw a person or another mover in true size where it was nearest, and its way (n, 2) [m]; return its disc."""
+    """Draw a person or other mover to scale at its nearest position, with its path (n, 2) [m]; return its disc."""
     axes.plot(*np.asarray(track, dtype=float).T, ":", color=DANGER, linewidth=1.4, zorder=4)
     x, y = np.asarray(at, dtype=float)
     disc = Circle((x, y), radius, color=DANGER, linewidth=0, zorder=6)
@@ -104,20 +104,20 @@ def draw_mover(axes: Axes, track: ArrayLike, at: ArrayLike, radius: float, name:
 
 
 def mark_clearance(axes: Axes, place: ArrayLike, clearance: float) -> None:
-    """Mark the place of the least clearance [m] with a ring and its number."""
+    """Mark the position of minimum clearance [m] with a ring and its value."""
     x, y = np.asarray(place, dtype=float)
     axes.plot(x, y, "o", color=DANGER, markerfacecolor="none", markersize=10, zorder=8)
     word_at(axes, f"{clearance:.2f} m", (float(x), float(y)))
 
 
 def draw_paths(path: Path, title: str, task: NavigationTask, panels: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """Draw paths in a task's world, with the robot in true size at a few moments.
+    """Draw paths in a task's world, with the robot to scale at a few moments.
 
     Args:
         path: File to write.
-        title: Finding in words.
+        title: Finding, as a sentence.
         task: Task of the paths.
-        panels: Paths of each panel by its name: `states` (n, d), and their `outcome`, if any. At most three panels.
+        panels: Paths by panel name, at most three panels: `states` (n, d), and the `outcome`, if any.
     """
     names = task.system.build().state_names
     plane = position_indices(names)

@@ -1,4 +1,4 @@
-"""The roles of colours, the sizes of type and pictures, and which method has which line."""
+"""Colour roles, type and figure sizes, and the line style of each method."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ import numpy as np
 from ctrl_rl_core.tasks.regions import ANGLES
 
 FULL, HALF = 7.0, 3.4
-"""Widths of a picture: the page's column of 688 px, and half of it [in]."""
+"""Figure widths: the 688 px column of the page, and half of it [in]."""
 SMALL, TEXT, TITLE = 8.0, 9.0, 10.0
-"""Sizes of type [pt]; nothing is smaller than `SMALL`."""
+"""Type sizes [pt]; nothing is smaller than `SMALL`."""
 OURS_COLOUR, SKY, ORANGE, BLACK, FAINT = "#0072B2", "#56B4E9", "#E69F00", "#000000", "#8C8C8C"
 DANGER, GOAL, WALL, UNKNOWN = "#D55E00", "#009E73", "#4D4D4D", "#E0E0E0"
 ROBOTS = (OURS_COLOUR, SKY, ORANGE)
-"""Colours of several robots in one picture."""
+"""Colours of several robots in one figure."""
 GRID = "#CCCCCC"
 VALUES, SIGNED, COUNTS = "cividis_r", "PuOr", "Greys"
-"""Colour maps: short times bright; around 0; counts, logarithmic."""
+"""Colour maps: times, short ones bright; signed values; counts, logarithmic."""
 RETURNS = VALUE_MAP = "cividis"
-"""Colour map of values of which high ones are good, and of weights."""
+"""Colour map of returns, high ones bright, and of weights."""
 GREY_MAP = "gray"
-"""Colours of what a camera sees."""
+"""Colour map of camera images."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How a line is drawn.
+    """Line style.
 
     Attributes:
         colour: Colour of the line, its points and its band.
         line: matplotlib's line style.
         width: Width of the line [pt].
-        marker: Marker where the line is drawn as points.
+        marker: Marker used when the line is drawn as points.
     """
 
     colour: str
@@ -81,16 +81,16 @@ METHODS: Mapping[str, Style] = {
     "shield, sent": OURS,
     "no shield": NO_HELP,
 }
-"""A method's line by its name. What is not named here is a variant of somebody's own, see `style_of`."""
+"""Line style by method name. Unlisted names are custom variants, see `style_of`."""
 _SPARE = (SECOND_VARIANT, VARIANT, SECOND_OTHER, NO_HELP, OTHER)
 
 
 def style_of(name: str, taken: Mapping[str, Style]) -> Style:
-    """Return a method's style: the table's, or the first that no line of the picture has yet.
+    """Return a method's style: its own, or the first one that no other line of the figure uses.
 
     Args:
         name: Name of the method.
-        taken: Styles of the picture's other lines.
+        taken: Styles of the other lines in the figure.
     """
     if name in METHODS and METHODS[name] not in taken.values():
         return METHODS[name]
@@ -99,12 +99,12 @@ def style_of(name: str, taken: Mapping[str, Style]) -> Style:
 
 
 def greys(count: int) -> list[str]:
-    """Return so many greys, the lightest first, on which black words can be read."""
+    """Return this many greys, lightest first, on which black text is legible."""
     return [f"{level:.2f}" for level in np.linspace(0.93, 0.6, count)]
 
 
 def named_value(name: str, value: float) -> str:
-    """Return a state's name and value; an angle [rad] in degrees, with the arrow that points there."""
+    """Format a state's name and value; an angle [rad] in degrees, with an arrow in its direction."""
     if name not in ANGLES:
         return f"{name} = {value:.3g}"
     return f"{name} = {np.rad2deg(value):.0f}° {'→↗↑↖←↙↓↘'[round(value / (0.25 * np.pi)) % 8]}"

@@ -1,4 +1,4 @@
-"""What happened over the time of a run: at most three quantities over one axis of time."""
+"""Time series of a run: at most three quantities over a common time axis."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Series:
         title: Quantity and unit.
         times: Times (n,) [s].
         values: Quantity at each time (n,).
-        raw: The same before the filter, and its times: (times, values).
-        limit: Limit that it must keep.
-        steps: Whether a value holds until the next, as a command does.
+        raw: Unfiltered quantity with its times: (times, values).
+        limit: Limit for the quantity.
+        steps: Whether a value holds until the next, like a command.
     """
 
     title: str
@@ -44,13 +44,13 @@ def draw_series(
     duration: float,
     acted: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> None:
-    """Draw quantities below each other over one axis of time.
+    """Draw stacked quantities over a common time axis.
 
     Args:
-        axes: Panels, from top to bottom, one for each quantity.
+        axes: Panels from top to bottom, one per quantity.
         series: At most three quantities.
-        duration: Time of the run [s].
-        acted: When the filter acted: times (n,) [s], and whether it did from each on.
+        duration: Duration of the run [s].
+        acted: Activity of the filter: times (n,) [s], and whether it was active from each time on.
     """
     for ax, one in zip(axes, series, strict=True):
         look = "steps-post" if one.steps else "default"
@@ -71,7 +71,7 @@ def draw_series(
 
 
 def _stretches(times: ArrayLike, acted: ArrayLike, duration: float) -> list[tuple[float, float]]:
-    """Return begin and end [s] of each stretch in which the filter acted."""
+    """Return the begin and end [s] of each interval in which the filter was active."""
     stamps, on = np.asarray(times, dtype=float), np.asarray(acted, dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(int)))
     ends = np.append(stamps, duration)

@@ -1,4 +1,4 @@
-"""Pictures in the suite's style: made, laid out, named and written."""
+"""Creates, lays out, labels and writes figures in the suite's style."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _RC: Any = {  # too long a list of names to spell as a type
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the suite's style within this context."""
+    """Apply the suite's plot style within this context."""
     with mpl.rc_context(_RC):
         yield
 
@@ -69,16 +69,16 @@ def picture(
     half: bool = False,
     **layout: Any,
 ) -> Iterator[tuple[Figure, NDArray[Any]]]:
-    """Draw a picture within this context; it is written at the end, whole or not at all.
+    """Create a figure within this context; it is written atomically at the end.
 
     Args:
-        path: File to write; its ending chooses the format, .svg for lines and .png for maps.
-        title: Finding in words; wrapped.
+        path: File to write; its suffix selects the format, .svg for lines and .png for maps.
+        title: Finding, as a sentence; wrapped.
         rows: Number of rows of panels.
         columns: Number of panels in a row.
-        height: Height of the picture [in].
-        half: Whether it is as wide as half a page.
-        layout: More arguments of matplotlib's `subplots`, such as sharex.
+        height: Height of the figure [in].
+        half: Whether the figure is half as wide as the page.
+        layout: Further arguments for matplotlib's `subplots`, such as sharex.
 
     Yields:
         The figure, and its axes (rows, columns).
@@ -99,7 +99,7 @@ def picture(
 
 
 def map_beside(axes: NDArray[Any]) -> Axes:
-    """Return one panel in place of a picture's left column, so high as the panels beside it together."""
+    """Replace a figure's left column by one panel as tall as all panels beside it."""
     figure, place = axes[0, 0].get_figure(), axes[0, 0].get_gridspec()[:, 0]
     for ax in axes[:, 0]:
         ax.remove()
@@ -107,7 +107,7 @@ def map_beside(axes: NDArray[Any]) -> Axes:
 
 
 def set_title(figure: Figure, title: str) -> None:
-    """Write a picture's title: bold, left, wrapped."""
+    """Set a figure's title: bold, left-aligned, wrapped."""
     if title.strip():
         width = int(_LINE_LENGTH * figure.get_figwidth() / FULL)
         lines = len(textwrap.wrap(title, width))
@@ -119,7 +119,7 @@ def set_title(figure: Figure, title: str) -> None:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Place what is named in a figure, write it, atomically, and close it.
+    """Place the labels of a figure, write it atomically, and close it.
 
     Raises:
         OSError: The file cannot be written.
@@ -134,7 +134,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def settle(figure: Figure) -> None:
-    """Lay a figure out and move the names of lines and places to where they cover nothing."""
+    """Lay out a figure, and move labels to where they cover nothing."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a tiny picture has no room for its panels
         figure.draw_without_rendering()
@@ -148,7 +148,7 @@ def settle(figure: Figure) -> None:
 
 
 def legend_below(figure: Figure, columns: int = 3) -> None:
-    """Name the lines of all panels once, below them."""
+    """Add one legend for all panels below them."""
     found: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):

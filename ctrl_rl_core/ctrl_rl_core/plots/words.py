@@ -1,4 +1,4 @@
-"""Places words in a picture where they cover no data: names at the right end of lines, words beside places."""
+"""Places text in a figure so that it covers no data: labels at the right end of lines, words beside positions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ctrl_rl_core.plots.roles import SMALL
 _NAME, _WORD, SOLID = "name of a line", "word beside a place", "wall or obstacle"
 _GAP = 2.0
 _ON_WALL, _FAR = 0.1, 0.01
-"""What a word costs on a wall, and for each point from its place, in points of a line that it covers."""
+"""Cost of text on a wall, and of each point of distance from its position, in covered line points."""
 _CLOSE = 4.0
-"""Distance of points by which a line is told [pixels]."""
+"""Spacing of the points that represent a line [pixels]."""
 _REACH = (7.0, 12.0, 18.0, 28.0, 42.0, 60.0)
 _DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
 _SIDES: dict[int, Literal["left", "right", "center"]] = {1: "left", -1: "right", 0: "center"}
@@ -26,12 +26,12 @@ _HEIGHTS: dict[int, Literal["bottom", "top", "center"]] = {1: "bottom", -1: "top
 
 
 def name_at_end(axes: Axes, name: str, height: float, colour: str) -> None:
-    """Write a line's name at the right edge of its panel.
+    """Write a line's label at the right edge of its panel.
 
     Args:
         axes: Panel of the line.
         name: Name of the line.
-        height: Where it ends [unit of the y axis].
+        height: End of the line [unit of the y axis].
         colour: Colour of the line.
     """
     axes.annotate(
@@ -48,12 +48,12 @@ def name_at_end(axes: Axes, name: str, height: float, colour: str) -> None:
 
 
 def word_at(axes: Axes, word: str, place: tuple[float, float], colour: str = "black") -> None:
-    """Write a word beside a place, on that side where it covers no line and no other word.
+    """Write a word beside a position, on the side where it covers no line and no other word.
 
     Args:
-        axes: Panel of the place.
+        axes: Panel of the position.
         word: Word to write.
-        place: Place [units of the axes].
+        place: Position [units of the axes].
         colour: Colour of the word.
     """
     axes.annotate(
@@ -69,12 +69,12 @@ def word_at(axes: Axes, word: str, place: tuple[float, float], colour: str = "bl
 
 
 def write_small(axes: Axes, word: str, place: tuple[float, float], rotation: float = 0.0) -> None:
-    """Write a word in the middle of a place, in the smallest type that there is."""
+    """Write a word centred at a position, in the smallest type."""
     axes.text(*place, word, horizontalalignment="center", verticalalignment="center", size=SMALL, rotation=rotation)
 
 
 def place_names(axes: Axes) -> None:
-    """Move the names at the right edge of a panel apart, in the order of their lines."""
+    """Separate the labels at the right edge of a panel, in the order of their lines."""
     names = [text for text in axes.texts if isinstance(text, Annotation) and text.get_gid() == _NAME]
     if not names:
         return
@@ -98,7 +98,7 @@ def place_names(axes: Axes) -> None:
 
 
 def place_words(axes: Axes) -> None:
-    """Move each word to where it covers no line and no other word, few walls, and is near to its place."""
+    """Move each word near its position, to where it covers no line or other word and little wall."""
     words = [text for text in axes.texts if isinstance(text, Annotation) and text.get_gid() == _WORD]
     points = line_points(axes)
     walls = [patch.get_window_extent() for patch in axes.patches if patch.get_gid() == SOLID]
@@ -125,13 +125,13 @@ def place_words(axes: Axes) -> None:
 
 
 def covers(box: Bbox, points: NDArray[np.float64]) -> int:
-    """Return how many points (n, 2) lie in a box."""
+    """Return the number of points (n, 2) that lie in a box."""
     inside = (points[:, 0] > box.x0) & (points[:, 0] < box.x1) & (points[:, 1] > box.y0) & (points[:, 1] < box.y1)
     return int(inside.sum())
 
 
 def line_points(axes: Axes) -> NDArray[np.float64]:
-    """Return points (n, 2) of a panel's lines in pixels, so close that no word slips between them."""
+    """Return points (n, 2) along a panel's lines in pixels, spaced closely enough that no word fits between them."""
     found = [np.empty((0, 2))]
     for line in axes.lines:
         if line.get_transform() != axes.transData or not line.get_visible():

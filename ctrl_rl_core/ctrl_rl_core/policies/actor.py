@@ -1,7 +1,7 @@
 """A learnt actor: a small network in NumPy, and its file.
 
 actor = Actor.load("policy.safetensors")
-command = actor.command(observation)      # what the task's sensors say, in SI units -> v, omega or T_1, T_2
+command = actor.command(observation)      # the task's observation in SI units -> v, omega or T_1, T_2
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
 
 
 class _Header(Schema):
-    """Header of an actor's file, see `Actor`."""
+    """Header of an actor file, see `Actor`."""
 
     format: Literal["actor-1"]
     layers: Annotated[int, Field(ge=1, le=100)]
@@ -48,15 +48,15 @@ class Actor:
     Attributes:
         weights: Weights of each layer (out, in).
         biases: Biases of each layer (out,).
-        activation: Function after each layer but the last, "tanh" or "relu"; of "normalized_tanh" and "normalized_relu"
-            the outputs are first brought to mean 0 and variance 1 over the layer's units.
-        squashed: Whether the last layer ends in tanh; else actions are cut off at -1 and 1.
-        middle: Observation that becomes 0 in the network's input, in the observation's units (n,).
-        unit: Distance above the middle that becomes 1 (n,).
-        low: Least commands, those of action -1 (m,).
-        high: Largest commands, those of action 1 (m,).
-        manifest: Origin of the policy: task, names of the observation, figures; plain JSON values.
-        interface: Observation and commands on a robot; None in files of before there were interfaces.
+        activation: Function after each layer but the last, "tanh" or "relu"; "normalized_tanh" and "normalized_relu"
+            first normalise the layer's outputs to mean 0 and variance 1.
+        squashed: Whether the last layer ends in tanh; otherwise actions are clipped to [-1, 1].
+        middle: Observation that maps to network input 0, in the observation's units (n,).
+        unit: Distance from `middle` that maps to network input 1 (n,).
+        low: Commands of action -1 (m,).
+        high: Commands of action 1 (m,).
+        manifest: Provenance of the policy: task, observation names, results; plain JSON values.
+        interface: Observation and commands on a robot; None in files that predate interfaces.
     """
 
     weights: tuple[Array, ...]
@@ -71,7 +71,7 @@ class Actor:
     interface: PolicyManifest | None = None
 
     def scaled_action(self, scaled: ArrayLike) -> Array:
-        """Return the actions in [-1, 1] (..., m) for observations in the network's own units (..., n)."""
+        """Return actions in [-1, 1] (..., m) for network inputs (..., n)."""
         x = np.asarray(scaled, dtype=np.float32)
         kind = self.activation.removeprefix("normalized_")
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -89,7 +89,7 @@ class Actor:
         return self.low + 0.5 * (self.scaled_action(scaled) + 1.0) * (self.high - self.low)
 
     def save(self, path: Path | str) -> None:
-        """Write the policy; the file is there whole or not at all."""
+        """Write the policy atomically."""
         tensors = {name: getattr(self, name) for name in _VECTORS}
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             tensors |= {f"weight_{index}": W, f"bias_{index}": b}
@@ -110,7 +110,7 @@ class Actor:
         """Read a policy.
 
         Raises:
-            PolicyError: The file is missing or is not such a policy; the message names it.
+            PolicyError: The file is missing or is not an actor; the message names it.
         """
         with raise_as(PolicyError, path, "learn it again"):
             header, tensors, _ = read_tensors(path, _HEADER_KEY, types=("F32",))
@@ -132,10 +132,10 @@ class Actor:
         return actor
 
     def check(self) -> None:
-        """Refuse tensors that do not fit each other.
+        """Check that the tensors have consistent shapes.
 
         Raises:
-            PolicyError: They do not.
+            PolicyError: The shapes are inconsistent.
         """
         width, commands = self.middle.shape, self.low.shape
         fits = len(width) == len(commands) == 1 and self.unit.shape == width and self.high.shape == commands

@@ -1,4 +1,4 @@
-"""Actors as policies of a node: `policy.safetensors` of a learning run, and those that come with this package."""
+"""Actors as policies of a node: `policy.safetensors` of a training run, and those shipped with this package."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_name
 
 
 def load_actor_policy(path: Path) -> NetworkPolicy:
-    """Return the policy of an actor's file.
+    """Load the policy of an actor file.
 
     Raises:
-        PolicyError: It is no such file, or does not say what it observes.
+        PolicyError: The file is not an actor, or does not describe its observation.
     """
     return policy_of(Actor.load(path))
 
 
 def policy_of(actor: Actor) -> NetworkPolicy:
-    """Return an actor as a policy that drives a robot.
+    """Wrap an actor as a policy that drives a robot.
 
     Raises:
-        PolicyError: The actor does not say what it observes.
+        PolicyError: The actor does not describe its observation.
     """
     manifest = actor.interface or _known_interface(actor)
 
@@ -41,13 +41,13 @@ def policy_of(actor: Actor) -> NetworkPolicy:
 
 
 def shipped_actors() -> dict[str, Path]:
-    """Return the actors that come with this package, by name."""
+    """Return the actors shipped with this package, by name."""
     folder = Path(str(files("ctrl_rl_core"))) / "policies" / "pretrained"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def _known_interface(actor: Actor) -> PolicyManifest:
-    """Return the interface of an actor that does not say it: its task's, where that is one of the suite's."""
+    """Return the interface of an actor that does not include one: that of its task, if the task is known."""
     name = str(actor.manifest.get("task"))
     if name in task_names():
         task = load_navigation_task(name)

@@ -1,4 +1,4 @@
-"""The interface of a learnt policy: what it observes, in which order and scale, and how its actions become commands.
+"""The interface of a learnt policy: its observation with order and scale, and the mapping from actions to commands.
 
 The manifest is stored in the header of an actor's file, or as YAML beside an ONNX model:
 
@@ -28,12 +28,12 @@ from ctrl_rl_core.io.schema import Number, Positive, Schema
 Array = NDArray[np.float64]
 
 LARGEST = 10_000
-"""Numbers that an observation may have."""
+"""Maximum size of an observation."""
 COMMAND_NAMES: Mapping[str, tuple[str, str]] = {
     "differential_drive": ("v", "omega"),
     "planar_quadrotor": ("T_1", "T_2"),
 }
-"""Commands by the kind of robot: speed [m/s] and turn rate [rad/s], or the thrusts of two rotor pairs [N]."""
+"""Commands by kind of robot: speed [m/s] and turn rate [rad/s], or the thrusts of two rotor pairs [N]."""
 KNOWN_NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "differential_drive": {
         "odometry": ("x", "y", "theta", "v", "omega"),
@@ -49,19 +49,19 @@ KNOWN_NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "command": COMMAND_NAMES["planar_quadrotor"],
     },
 }
-"""Components that may be observed, by kind of robot and source."""
+"""Observable components, by kind of robot and source."""
 _Numbers = Number | Annotated[list[Number], Field(min_length=1, max_length=LARGEST)]
 _Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
 class _Part(Schema):
-    """Values that follow each other in the observation; a single number counts for all of them.
+    """Consecutive values of the observation; a single number applies to all of them.
 
     Attributes:
-        low: Least values that are told apart.
-        high: Largest values that are told apart.
-        middle: Values that become 0.
-        unit: Distance above the middle that becomes 1.
+        low: Lower clipping bounds.
+        high: Upper clipping bounds.
+        middle: Values that map to 0.
+        unit: Distance from `middle` that maps to 1.
     """
 
     low: _Numbers = -1e30
@@ -71,7 +71,7 @@ class _Part(Schema):
 
     @property
     def size(self) -> int:
-        """Count of values."""
+        """Number of values."""
         raise NotImplementedError
 
     @model_validator(mode="after")
@@ -87,18 +87,18 @@ class _Part(Schema):
         return self
 
     def spread(self, name: str) -> Array:
-        """Return one of the four numbers for each value (size,)."""
+        """Return one of the four attributes as an array with an element per value (size,)."""
         return np.broadcast_to(np.asarray(getattr(self, name), np.float64), self.size)
 
 
 class NamedPart(_Part):
-    """Components by name.
+    """Components selected by name.
 
     Attributes:
-        source: Where they come from. "odometry": pose and speeds in the frame of the odometry; "pose": the pose by
-            the node's source of poses; "goal": the goal as it was given (x, y, theta), or as seen from the pose, where
-            `bearing` is its direction from ahead and `turn` the difference of headings, in [-pi, pi], `ahead` and
-            `left` its coordinates in the robot's frame; "command": the last command.
+        source: Source of the components. "odometry": pose and speeds in the odometry frame; "pose": the pose from the
+            node's pose source; "goal": the goal as given (x, y, theta), or relative to the pose: `bearing` is its
+            direction from ahead and `turn` the difference of headings, in [-pi, pi], `ahead` and `left` its coordinates
+            in the robot's frame; "command": the last command.
         names: Names of the components, see `KNOWN_NAMES`.
     """
 
@@ -107,7 +107,7 @@ class NamedPart(_Part):
 
     @property
     def size(self) -> int:
-        """Count of values."""
+        """Number of values."""
         return len(self.names)
 
 
@@ -117,11 +117,11 @@ class ScanPart(_Part):
     Attributes:
         count: Number of bearings.
         first: First bearing [rad].
-        step: Angle from bearing to bearing [rad].
-        half_width: Half the opening in which beams count for a bearing [rad]; 0 for the nearest beam alone.
-        reduce: Which of several beams counts: the least range, or the median.
-        low: Least range; what is too close reads it [m].
-        high: Largest range; what is farther, and nothing there, reads it [m].
+        step: Angle between bearings [rad].
+        half_width: Half the width of the sector whose beams count for a bearing [rad]; 0 for the nearest beam only.
+        reduce: Reduction over several beams: the minimum range or the median.
+        low: Minimum range; closer echoes are set to it [m].
+        high: Maximum range; farther echoes and missing echoes are set to it [m].
     """
 
     source: Literal["scan"]
@@ -135,7 +135,7 @@ class ScanPart(_Part):
 
     @property
     def size(self) -> int:
-        """Count of values."""
+        """Number of values."""
         return self.count
 
     @property
@@ -148,14 +148,14 @@ Part = Annotated[NamedPart | ScanPart, Field(discriminator="source")]
 
 
 class ActionSpec(Schema):
-    """How the outputs of a network become a command.
+    """Mapping from network outputs to a command.
 
     Attributes:
-        low: Command of the least action (2,).
-        high: Command of the largest action (2,).
-        span: Least and largest action, at which outputs are cut off.
-        squash: Function of the outputs before that.
-        choices: Commands (n, 2) of a policy with one output each: the largest output's command is taken.
+        low: Command at the minimum action (2,).
+        high: Command at the maximum action (2,).
+        span: Minimum and maximum action; outputs are clipped to them.
+        squash: Function applied to the outputs before clipping.
+        choices: Commands (n, 2) of a discrete policy with one output each; the largest output selects the command.
     """
 
     low: _Pair
@@ -176,11 +176,11 @@ class ActionSpec(Schema):
 
     @property
     def outputs(self) -> int:
-        """Count of a network's outputs."""
+        """Number of network outputs."""
         return 2 if self.choices is None else len(self.choices)
 
     def command(self, outputs: Array) -> Array:
-        """Return the command (2,) of a network's outputs (outputs,); not finite where they are not."""
+        """Return the command (2,) for network outputs (outputs,); not finite if the outputs are not."""
         if self.choices is not None:
             return np.array(self.choices[int(np.argmax(outputs))]) if np.isfinite(outputs).all() else np.full(2, np.nan)
         action = np.tanh(outputs) if self.squash == "tanh" else outputs
@@ -195,14 +195,14 @@ class ActionSpec(Schema):
 
 
 class PolicyManifest(Schema):
-    """What a policy takes and gives.
+    """Observation and commands of a policy.
 
     Attributes:
         robot: Kind of robot, a key of `COMMAND_NAMES`.
-        period: Time between two decisions [s]; None to decide at each scan.
-        rest: Command of a robot that has nothing to do (2,): 0, or the thrusts that carry a quadrotor.
+        period: Decision period [s]; None to decide at each scan.
+        rest: Idle command (2,): 0, or the hover thrusts of a quadrotor.
         observation: Parts of the observation, in order.
-        action: Mapping from the network's outputs to commands.
+        action: Mapping from network outputs to commands.
         about: Description of the policy for people.
     """
 
@@ -235,9 +235,9 @@ class PolicyManifest(Schema):
 
     @property
     def size(self) -> int:
-        """Count of observed values."""
+        """Size of the observation."""
         return sum(part.size for part in self.observation)
 
     def observes(self, source: str) -> bool:
-        """Return whether the policy observes something of a source."""
+        """Return whether the policy observes any component of a source."""
         return any(part.source == source for part in self.observation)

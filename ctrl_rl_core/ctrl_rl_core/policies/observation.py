@@ -1,4 +1,4 @@
-"""Builds the observation that a policy was learnt with, from what the robot senses."""
+"""Builds a learnt policy's observation from the robot's sensor readings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ObservationBuilder:
         """Return the observation (n,) in the policy's own units.
 
         Raises:
-            PolicyError: A part of it is unknown, or not finite.
+            PolicyError: A component is unknown or not finite.
         """
         values = np.concatenate([read(sensors) for read in self._read]).astype(np.float32)
         if not np.isfinite(values).all():
@@ -105,8 +105,8 @@ class _ScanReader:
         """Return the ranges (count,) [m].
 
         Raises:
-            PolicyError: The lidar does not look in one of the directions.
-            ScanError: The scan is unusable, or holds no measurement.
+            PolicyError: The lidar does not cover one of the bearings.
+            ScanError: The scan is unusable or contains no measurement.
         """
         distances = self._sectors.distances(sensors.ranges, sensors.scan)
         unseen = self._sectors.unseen(sensors.scan)

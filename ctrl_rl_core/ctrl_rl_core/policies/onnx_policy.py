@@ -1,4 +1,4 @@
-"""Policies from elsewhere: an ONNX model and, beside it, the manifest as NAME.yaml. Needs onnxruntime."""
+"""Third-party policies: an ONNX model with a manifest NAME.yaml beside it. Needs onnxruntime."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ctrl_rl_core.policies.policy import NetworkPolicy, PolicyKind
 from ctrl_rl_core.processes.limited import LimitError, run_limited
 
 LARGEST = 256_000_000
-"""Bytes of a model."""
+"""Maximum size of a model [bytes]."""
 MEMORY, TIME = 1 << 30, 20.0
-"""Bytes, beside eight times its size, and seconds that a model may take when it is tried."""
+"""Memory limit beyond eight times the model's size [bytes], and time limit [s], of the trial run."""
 INSTALL = "python -m pip install -r requirements/onnx.txt"
 
 
 def load_onnx_policy(path: Path) -> NetworkPolicy:
-    """Return the policy of an ONNX model with one float32 input (1, n) and its outputs first.
+    """Load the policy of an ONNX model with one float32 input (1, n), whose first output holds the network outputs.
 
     Raises:
-        PolicyError: The model or its manifest is missing or wrong, or onnxruntime is not installed.
+        PolicyError: The model or its manifest is missing or invalid, or onnxruntime is not installed.
     """
     beside = path.with_suffix(".yaml")
     with raise_as(PolicyError, path):

@@ -1,4 +1,4 @@
-"""Opens and tries an ONNX model from standard input, in a process of its own: `python -m ... SIZE MEMORY`."""
+"""Loads and tries an ONNX model from standard input in a separate process: `python -m ... SIZE MEMORY`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _TRIED = (0.0, 1.0, -1.0, 1e6)
 
 
 def open_model(onnxruntime: Any, content: bytes) -> Any:
-    """Return the session of a model with one float32 input.
+    """Open an inference session for a model with one float32 input.
 
     Raises:
-        PolicyError: It is none.
+        PolicyError: The content is not such a model.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1  # a robot's other nodes need the other cores
@@ -49,7 +49,7 @@ def run_model(session: Any, observation: Any) -> Any:
 
 
 def main() -> int:
-    """Open the model, run it a few times, and return 0 if it answers."""
+    """Load the model, run it a few times, and return 0 if it answers."""
     import onnxruntime
 
     limit_memory(int(sys.argv[2]))

@@ -1,10 +1,10 @@
-"""Policies of any kind as a node drives by them, and how they are found and read.
+"""Policies of any kind: their common interface, and how they are found and loaded.
 
-A package adds its own kind of file by an entry point of the group `ctrl_rl.policies`, which names a `PolicyKind`:
+A package adds its own file kind with an entry point of the group `ctrl_rl.policies` that names a `PolicyKind`:
 
     entry_points={"ctrl_rl.policies": ["my_header_key = my_package.my_module:KIND"]}
 
-Its name is the header key of the safetensors files, or the ending of files that are none, as in `onnx`.
+The entry point's name is the header key of the safetensors files, or the suffix of other files, such as `onnx`.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 30.0)
 
 @runtime_checkable
 class Policy(Driver[Sensors], Protocol):
-    """A learnt driver of one robot.
+    """A learnt policy for one robot.
 
     Attributes:
         robot: Kind of robot, a key of `manifest.COMMAND_NAMES`.
-        limits: Least and largest command (2,), (2,).
-        rest: Command of a robot that has nothing to do (2,).
-        period: Time between two decisions [s]; None to decide at each scan.
-        needs: Inputs besides scan and odometry: "pose", "goal", both or none.
-        description: Kind and origin of the policy in a few words.
+        limits: Minimum and maximum command (2,), (2,).
+        rest: Idle command (2,).
+        period: Decision period [s]; None to decide at each scan.
+        needs: Required inputs besides scan and odometry: "pose", "goal", both or none.
+        description: Short description of the policy's kind and origin.
     """
 
     robot: str
@@ -59,7 +59,7 @@ class Policy(Driver[Sensors], Protocol):
 
 
 class PolicyDriver:
-    """A policy as its node drives it: within its limits, at rest where it gives no command."""
+    """A policy as driven by its node: clipped to its limits, and idle when it returns no command."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
@@ -73,11 +73,11 @@ class PolicyDriver:
 
 
 class PolicyKind(NamedTuple):
-    """A kind of policy files.
+    """A kind of policy file.
 
     Attributes:
-        load: Returns the policy of a file, or raises CtrlRlError with one line that says what is wrong.
-        shipped: Returns the files that come with the package, by name.
+        load: Loads the policy of a file, or raises CtrlRlError with a one-line message.
+        shipped: Returns the files shipped with the package, by name.
     """
 
     load: Callable[[Path], Policy]
@@ -85,17 +85,17 @@ class PolicyKind(NamedTuple):
 
 
 class NetworkPolicy:
-    """A network with the interface that its manifest describes."""
+    """A network with the interface given by its manifest."""
 
     def __init__(
         self, manifest: PolicyManifest, network: Callable[[NDArray[np.float32]], NDArray[Any]], description: str
     ) -> None:
-        """Make a policy.
+        """Create a policy.
 
         Args:
             manifest: Interface of the policy.
             network: Function from an observation (n,) to outputs (`manifest.action.outputs`,).
-            description: Kind and origin of the policy in a few words.
+            description: Short description of the policy's kind and origin.
         """
         self.robot: str = manifest.robot
         self.period, self.description = manifest.period, description
@@ -107,17 +107,17 @@ class NetworkPolicy:
         self._observe, self._network, self._action = ObservationBuilder(manifest), network, manifest.action
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,); not finite where the network's outputs are not.
+        """Return the command (2,); not finite if the network's outputs are not.
 
         Raises:
-            PolicyError: A part of the observation is missing.
+            PolicyError: A component of the observation is missing.
         """
         with np.errstate(all="ignore"):  # the node refuses what is not finite, and says so
             return self._action.command(np.asarray(self._network(self._observe(sensors)), dtype=np.float64))
 
 
 def find_policy(name_or_path: str) -> Path:
-    """Return the file of a shipped policy by name, or the path itself.
+    """Return the file of a shipped policy by name, or the path unchanged.
 
     Raises:
         PolicyError: There is no such policy.
@@ -134,7 +134,7 @@ def find_policy(name_or_path: str) -> Path:
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the policies that come with the installed packages, by name."""
+    """Return the policies shipped with the installed packages, by name."""
     shipped: dict[str, Path] = {}
     for entry in find_plugins(GROUP).values():
         with suppress(PolicyError):  # a broken package is no reason not to drive by another one's policy
@@ -143,10 +143,10 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def load_policy(path: Path) -> Policy:
-    """Read a policy of any kind and try it on a scan.
+    """Load a policy of any kind and test it on a scan.
 
     Raises:
-        PolicyError: No such file, it holds no policy, or what reads it is not installed.
+        PolicyError: The file is missing or not a policy, or a package needed to read it is not installed.
     """
     with raise_as(PolicyError, path):
         ending, entries = path.suffix.removeprefix(".").lower(), find_plugins(GROUP)
@@ -160,7 +160,7 @@ def load_policy(path: Path) -> Policy:
 
 
 def policy_digest(path: Path) -> str:
-    """Return the SHA-256 (hex) of all that makes a policy: its file, and for an ONNX model its manifest, too.
+    """Return the SHA-256 (hex) of a policy: its file, including the manifest of an ONNX model.
 
     Raises:
         PolicyError: A file cannot be read.
@@ -175,7 +175,7 @@ def policy_digest(path: Path) -> str:
 
 
 def _try(policy: Policy) -> None:
-    """Refuse a policy whose command is not a pair of finite numbers in a plain situation."""
+    """Raise if the policy does not return two finite numbers in a simple situation."""
     wall = np.ones(_SOME_SCAN.beams, np.float32)
     sensors = Sensors(wall, _SOME_SCAN, make_odometry(np.zeros(3), np.zeros(3)), np.zeros(3), np.ones(3), policy.rest)
     command = policy.command(sensors)

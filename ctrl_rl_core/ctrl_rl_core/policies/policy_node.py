@@ -1,4 +1,4 @@
-"""The node that drives or flies a robot by any learnt policy: `ros2 run ctrl_rl_core policy`."""
+"""Node that drives or flies a robot with any learnt policy: `ros2 run ctrl_rl_core policy`."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Array = NDArray[np.float64]
 
 
 class PolicyNodeDriver(NodeDriver):
-    """The policy of a file: it decides at each scan, or once in its period."""
+    """The policy of a file; decides at each scan or once per period."""
 
     def __init__(self, node: DriverNode) -> None:
-        """Read the policy that the node's parameter names, and listen for its pose and goal."""
+        """Load the policy named by the node's parameter, and subscribe to its pose and goal."""
         self._node, self._settings = node, node.settings
         self._decided_at = self._scanned_at = math.nan
         self._episode: int | None = None
@@ -43,10 +43,10 @@ class PolicyNodeDriver(NodeDriver):
         node.create_subscription(PoseStamped, "goal_pose", self._on_goal, COMMAND)
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the policy's command, or the one before until its period is over.
+        """Return the policy's command, or the previous one until its period is over.
 
         Raises:
-            CtrlRlError: A part of the observation is missing.
+            CtrlRlError: A component of the observation is missing.
         """
         now = sensors.time
         if self._is_due(now):
@@ -56,20 +56,20 @@ class PolicyNodeDriver(NodeDriver):
         return self._command
 
     def on_odometry(self, message: Odometry) -> None:
-        """Keep the pose for the next decision."""
+        """Store the pose for the next decision."""
         self._poses.on_odometry(message, self._node.robot.frame)
 
     def on_episode(self, message: EpisodeStatus) -> None:
-        """Decide anew when an episode begins."""
+        """Make a new decision when an episode starts."""
         if message.episode != self._episode:
             self._episode = message.episode
             self._forget()
 
     def use_parameter(self, name: str) -> None:
-        """Read another policy, which drives from the next scan on.
+        """Load another policy, used from the next scan on.
 
         Raises:
-            PolicyError: There is none, or it is for another kind of robot.
+            PolicyError: The policy cannot be loaded, or is for another kind of robot.
         """
         if name != "policy":
             return
@@ -79,7 +79,7 @@ class PolicyNodeDriver(NodeDriver):
         self._take(policy, file)
 
     def figures(self) -> Mapping[str, object]:
-        """Return which policy gives the commands."""
+        """Return the name of the active policy."""
         return self._served | ({"refused pose": self._poses.refused} if self._poses.refused else {})
 
     def _decide(self, sensors: Sensors) -> Array:
@@ -94,7 +94,7 @@ class PolicyNodeDriver(NodeDriver):
         return self._node.robot.clip(policy.command(sensors._replace(pose=pose, goal=goal)))
 
     def _is_due(self, now: float) -> bool:
-        """Return whether the scan at a time [s] is the nearest to the end of the period."""
+        """Return whether the scan at a time [s] is the one nearest to the end of the period."""
         gap = now - self._scanned_at
         self._scanned_at = now
         period, elapsed = self._policy.period, now - self._decided_at
@@ -125,18 +125,18 @@ class PolicyNodeDriver(NodeDriver):
         self._node.get_logger().info(f"policy {file.name} ({digest[:12]}): {policy.description}; it decides {period}")
 
     def _forget(self) -> None:
-        """Let the next scan decide, as if no command had been sent."""
+        """Reset the period, so the next scan triggers a decision."""
         self._command, self._decided_at, self._scanned_at = self._policy.rest, math.nan, math.nan
 
 
 class PolicyNode(DriverNode):
-    """Drives a robot on wheels, or flies a planar quadrotor, by the policy of a file.
+    """Drives a wheeled robot, or flies a planar quadrotor, with the policy of a file.
 
-    Subscribes to scan, odom, goal_pose, episode and what the parameter `pose` names; publishes cmd_vel, or
-    rotor_thrusts for a quadrotor. Each command carries the stamp of the scan that it answers. A policy with a period of
-    its own decides once in a period and holds its command between, which each scan limits anew. Where a part of the
-    observation is missing or too old, the robot stands still, and a quadrotor gets the thrusts that carry its weight.
-    Another policy for the same kind of robot may be given while it drives.
+    Subscribes to scan, odom, goal_pose, episode and the topic selected by the parameter `pose`; publishes cmd_vel, or
+    rotor_thrusts for a quadrotor. Each command carries the stamp of the scan that triggered it. A policy with a period
+    decides once per period and holds its command in between; each scan limits that command again. If a component of the
+    observation is missing or stale, the robot stops, or a quadrotor receives hover thrust. The policy can be replaced
+    by another one for the same kind of robot while driving.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (

@@ -1,4 +1,4 @@
-"""The pose of the robot for policies that observe it: by odometry, by transforms, or by a localiser."""
+"""The pose of the robot for policies that observe it, from odometry, transforms or a localiser."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ POSE_PARAMETERS = (
 )
 _TF = QoSProfile(depth=100)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of several publishers, each of which sends its transforms once."""
+"""QoS for /tf_static: several publishers, each of which sends its transforms once."""
 
 
 class OdometryPose(PoseSource):
-    """The pose in the frame of the odometry itself."""
+    """The pose in the odometry frame."""
 
     def __init__(self, track: OdometryTrack, timeout: float) -> None:
         self._track, self._timeout = track, timeout
 
     def pose(self, now: float) -> Array:
-        """Return the last pose (3,) [m, m, rad] at a steady time [s].
+        """Return the latest pose (3,) [m, m, rad] at a steady time [s].
 
         Raises:
-            TransformError: There is none, or it is too old.
+            TransformError: No pose has been received, or it is too old.
         """
         pose, age = self._track.latest().pose, now - self._track.heard
         if not age <= self._timeout:
@@ -51,10 +51,10 @@ class OdometryPose(PoseSource):
         return pose
 
     def frame_in_map(self, frame: str) -> Transform:
-        """Return the identity for the frame of the odometry.
+        """Return the identity for the odometry frame.
 
         Raises:
-            TransformError: It is another frame.
+            TransformError: The frame is another one.
         """
         if frame == self._track.frame:
             return Transform.planar(0.0, 0.0, 0.0)
@@ -62,11 +62,11 @@ class OdometryPose(PoseSource):
 
 
 class PoseInput:
-    """Subscribes to what the parameter `pose` names.
+    """Subscribes to the pose source selected by the parameter `pose`.
 
     Attributes:
         track: Poses by odometry.
-        refused: Reason why the last wrong message was refused; empty where none was.
+        refused: Reason for rejecting the last invalid message; empty if there was none.
     """
 
     def __init__(self, node: SuiteNode, timeout: float, now: Callable[[], float]) -> None:
@@ -74,8 +74,8 @@ class PoseInput:
 
         Args:
             node: Node with the parameters `POSE_PARAMETERS`.
-            timeout: Age of odometry from which on it is too old [s].
-            now: Returns steady time, or that of the simulation [s].
+            timeout: Maximum age of odometry [s].
+            now: Returns the steady or simulated time [s].
         """
         settings, self.refused, self._now = node.settings, "", now
         self.track = OdometryTrack()
@@ -96,7 +96,7 @@ class PoseInput:
                 )
 
     def on_odometry(self, message: Odometry, base: str) -> None:
-        """Take odometry, and the frame of the robot that it or a parameter names."""
+        """Process odometry; take the robot's frame from it unless a parameter names one."""
         self._try(lambda odometry: self.track.update(odometry, self._now()), message)
         if isinstance(self._source, TransformPose):
             self._source.base = base
@@ -105,12 +105,12 @@ class PoseInput:
         """Return the pose (3,) [m, m, rad].
 
         Raises:
-            TransformError: It is unknown, or too old.
+            TransformError: The pose is unknown or too old.
         """
         return self._source.pose(self._now())
 
     def place(self, goal: Array, frame: str) -> Array:
-        """Return a pose (3,) of some frame in the frame of the robot's poses.
+        """Transform a pose (3,) from a given frame to the frame of the robot's poses.
 
         Raises:
             TransformError: The frame is unknown.
@@ -118,7 +118,7 @@ class PoseInput:
         return (self.frame_in_map(frame) @ Transform.planar(*goal.tolist())).pose
 
     def frame_in_map(self, frame: str) -> Transform:
-        """Return the pose of some frame in the frame of the robot's poses.
+        """Return the pose of a given frame in the frame of the robot's poses.
 
         Raises:
             TransformError: The frame is unknown.

@@ -1,4 +1,4 @@
-"""The interface of a policy that was learnt in a navigation task, as `sim_bridge.environments` observes it."""
+"""The interface of a policy trained in a navigation task, matching the observation of `sim_bridge.environments`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ctrl_rl_core.robots.robot import COMMANDS
 from ctrl_rl_core.tasks.task import NavigationTask
 
 SPEED_RANGE = (-20.0, 20.0)
-"""Speeds of flight that are told apart [m/s]."""
+"""Clipping range of flight speeds [m/s]."""
 TURN_RANGE = (-60.0, 60.0)
-"""Turn rates that are told apart [rad/s]."""
+"""Clipping range of turn rates [rad/s]."""
 POSITION_MARGIN = 5.0
-"""Margin around the arena or corridor in which positions are told apart [m]."""
+"""Margin around the arena or corridor within which positions are distinguished [m]."""
 
 
 def state_ranges(task: NavigationTask) -> dict[str, tuple[float, float]]:
-    """Return the least and the largest value of each observed component of the state, in SI units."""
+    """Return the minimum and maximum of each observed state component, in SI units."""
     ranges = {"theta": (-math.pi, math.pi), "psi": (-math.pi, math.pi), "omega": TURN_RANGE}
     ranges |= dict.fromkeys(("v", "v_x", "v_z"), SPEED_RANGE)
     if task.corridor is None:
@@ -36,12 +36,12 @@ def state_ranges(task: NavigationTask) -> dict[str, tuple[float, float]]:
 
 
 def _finite(bounds: tuple[float, float]) -> tuple[float, float]:
-    """Return the bounds of a component of a model of one's own, or those of a speed where it has none."""
+    """Return the bounds of a component of a custom model, or the speed range if it has none."""
     return bounds if np.isfinite(bounds).all() else SPEED_RANGE
 
 
 def interface_of(task: NavigationTask) -> PolicyManifest:
-    """Return the interface of a task's policies; the scaling of the observation is the network's own.
+    """Return the interface of a task's policies; observation scaling is done by the network itself.
 
     Raises:
         PolicyError: The robot's commands cannot be sent by a node.

@@ -1,4 +1,4 @@
-"""Work in a thread, of which only the latest request counts."""
+"""Work in a thread, where only the latest request counts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _Result = TypeVar("_Result")
 
 @dataclass
 class Job(Generic[_Result]):
-    """One piece of work.
+    """A piece of work.
 
     Attributes:
         result: Result of the work; None while it runs, and after an error.
         error: Error that the work raised.
-        done: Share that is done, 0 to 1.
-        wanted: Whether the result is still wanted.
-        finished: Set once there is a result or an error.
+        done: Completed fraction, 0 to 1.
+        wanted: Whether the result is still needed.
+        finished: Set when a result or an error is available.
     """
 
     result: _Result | None = None
@@ -29,11 +29,11 @@ class Job(Generic[_Result]):
     finished: threading.Event = field(default_factory=threading.Event)
 
     def cancel(self) -> None:
-        """Say that the result is not wanted any more."""
+        """Mark the result as no longer needed."""
         self.wanted = False
 
     def run(self, work: Callable[[Job[_Result]], _Result]) -> None:
-        """Do the work here."""
+        """Do the work in this thread."""
         try:
             self.result = work(self)
         except Exception as error:  # handed to the one that asked
@@ -43,7 +43,7 @@ class Job(Generic[_Result]):
 
 
 def start_job(work: Callable[[Job[_Result]], _Result], inline: bool = False) -> Job[_Result]:
-    """Start work in a thread, or do it at once; `work` takes its job, to report to and to see whether it is wanted."""
+    """Start work in a thread, or do it at once; `work` receives its job to report progress and check `wanted`."""
     job: Job[_Result] = Job()
     if inline:
         job.run(work)

@@ -1,4 +1,4 @@
-"""Processes that end with their parent, whatever ends it: nobody is left to drive a robot, or to fill a disk."""
+"""Child processes that end with their parent in every case, so none keeps driving a robot or filling a disk."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _SET_PARENT_DEATH_SIGNAL = 1
 """PR_SET_PDEATHSIG of prctl(2)."""
 _LIBC = ctypes.CDLL(None)
 _WRAPPERS = ("run", "launch")
-"""Verbs of `ros2` that start nodes and wait for them."""
+"""`ros2` verbs that start nodes and wait for them."""
 
 
 def start_child(command: Sequence[str | Path], **options: Any) -> subprocess.Popen[bytes]:
-    """Start a process that gets SIGTERM when this one ends, killed or not; call it in the main thread.
+    """Start a process that receives SIGTERM when this one ends, even by SIGKILL; call from the main thread.
 
     Args:
         command: Executable and its arguments.
@@ -30,9 +30,10 @@ def start_child(command: Sequence[str | Path], **options: Any) -> subprocess.Pop
 
 
 def end_with_ros2() -> None:
-    """Let this process get SIGTERM when the `ros2 run` or `ros2 launch` that started it ends.
+    """Have this process receive SIGTERM when the `ros2 run` or `ros2 launch` that started it ends.
 
-    ROS's own leave what they started behind when they get a SIGTERM, a SIGHUP or a SIGKILL: a robot would drive on.
+    Without this, `ros2 run` and `ros2 launch` leave their children running after SIGTERM, SIGHUP or SIGKILL, and the
+    robot keeps driving.
     """
     parent = os.getppid()
     try:
@@ -45,13 +46,13 @@ def end_with_ros2() -> None:
 
 
 def _become_child(parent: int) -> None:
-    """Run between fork and exec: the parent's own handler would swallow the signal there."""
+    """Reset signals between fork and exec, where the parent's handler would swallow them."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _end_with(parent)
 
 
 def _end_with(parent: int) -> None:
-    """Let the kernel send this process SIGTERM when its parent ends; at once where it has ended already."""
+    """Request SIGTERM from the kernel for when the parent ends; send it now if the parent has already ended."""
     if hasattr(_LIBC, "prctl"):
         _LIBC.prctl(_SET_PARENT_DEATH_SIGNAL, int(signal.SIGTERM), 0, 0, 0)
         if os.getppid() != parent:

@@ -11,7 +11,7 @@ from ctrl_rl_core.errors import CtrlRlError
 
 
 class LockError(CtrlRlError):
-    """Another process is at work in a folder."""
+    """Another process is using a folder."""
 
 
 @contextmanager
@@ -19,10 +19,10 @@ def exclusive_lock(lock: Path) -> Iterator[None]:
     """Hold a lock within the block; the lock is released even if the process is killed.
 
     Args:
-        lock: Path of an empty file in the folder, which is created and left there.
+        lock: Path of an empty lock file in the folder, which is created and kept.
 
     Raises:
-        LockError: Another process holds it.
+        LockError: Another process holds the lock.
         OSError: The folder is missing or cannot be written to.
     """
     with lock.open("w") as file:

@@ -1,4 +1,4 @@
-"""Work that a file of others decides about, in a process of bounded memory and time, and in an empty folder."""
+"""Runs work on untrusted files in a process with limited memory and time, in an empty folder."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ _SHOWN = 400
 
 
 class LimitError(CtrlRlError):
-    """Work was refused by its process, or took more memory or time than it may."""
+    """The process rejected its work, or exceeded its memory or time limit."""
 
 
 def run_limited(module: str, words: Sequence[str], content: bytes, seconds: float, memory: int) -> str:
-    """Run `python -m module words` on a content, and return what it prints.
+    """Run `python -m module words` with the content on standard input, and return its output.
 
-    The module calls `limit_memory` before it looks at its standard input.
+    The module must call `limit_memory` before it reads standard input.
 
     Args:
         module: Module to run.
-        words: Its arguments, before the memory.
-        content: Its standard input.
-        seconds: Time that it may take, of a clock on the wall [s].
-        memory: Bytes that it may take beside Python and its libraries; its last argument.
+        words: Arguments of the module, before the memory limit.
+        content: Standard input.
+        seconds: Wall-time limit [s].
+        memory: Memory limit beyond Python and its libraries [bytes]; passed as the last argument.
 
     Raises:
-        LimitError: It failed, with the last line of what it says, or it took too long or too much.
+        LimitError: The module failed (with the last line of its output), or exceeded a limit.
     """
     with TemporaryDirectory(prefix="limited-") as folder:  # nothing lies there that a file could refer to
         try:
@@ -54,13 +54,13 @@ def run_limited(module: str, words: Sequence[str], content: bytes, seconds: floa
 
 
 def limit_memory(memory: int) -> None:
-    """Let this process take so many bytes more than it has now."""
+    """Limit this process to this many bytes more than it uses now."""
     resource.setrlimit(resource.RLIMIT_AS, (_address_space() + memory, resource.RLIM_INFINITY))
 
 
 @contextmanager
 def limited_memory(memory: int) -> Iterator[None]:
-    """Let the block take so many bytes more than the process has; beyond it, what asks for memory fails."""
+    """Limit the block to this many bytes more than the process uses; allocations beyond that fail."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     limit = _address_space() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit if before[0] < 0 else min(limit, before[0]), before[1]))

@@ -1,8 +1,8 @@
-"""Jobs on the workers of a Ray cluster, with their files; a job that loses its worker goes on at another.
+"""Runs jobs with their files on a Ray cluster; a job that loses its worker continues on another.
 
 for answer in map_in_ray("auto", work, items, Job(folder, name)): ...
 
-Each machine of the cluster needs the same packages: `ray start` belongs into a shell with the sourced workspace.
+Every machine of the cluster needs the same packages: call `ray start` in a shell with the sourced workspace.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 Tell = Callable[[Any], None]
 Files = dict[str, bytes | None]
-"""Contents by path in a job's folder; None of a file that is gone."""
+"""Contents by path within a job's folder; None for a deleted file."""
 _TICK = 1.0
 _CONNECT_S = 10.0
 _LOSSES = 5
-"""Workers that a job may lose in a row without a report in between: its own doing is then more likely than theirs."""
+"""Consecutive worker losses without a report after which the job itself is considered the cause."""
 
 
 def map_in_ray(
@@ -45,24 +45,24 @@ def map_in_ray(
     tell: Tell = lambda _: None,
     shared: bool | None = None,
 ) -> Iterator[Answer]:
-    """Yield the answers as they come, not in the order of the items.
+    """Yield answers as they arrive, not in the order of the items.
 
-    A job keeps its files in the folder of its name below the folder that it is given. After each report they are on
-    this machine too; a job whose worker is lost begins again with them.
+    A job keeps its files in its own subfolder of the given folder. After each report the files are also on this
+    machine; a job whose worker is lost restarts from them.
 
     Args:
-        address: Address of the cluster, or "auto" for the one that runs on this machine.
-        work: Function of an item, a folder and a function that takes reports; workers import it by name.
-        items: Jobs in the order in which they begin.
+        address: Address of the cluster, or "auto" for the one running on this machine.
+        work: Function of an item, a folder and a report callback; workers import it by name.
+        items: Jobs in the order in which they start.
         folder: Folder of all jobs on this machine.
-        name: Returns the name of a job, which is that of its folder.
-        workers: Jobs at a time; 0 for as many as the cluster has processors.
-        tell: Takes the reports, on this machine.
-        shared: Whether workers see `folder` itself; found out unless given. If not, files are sent.
+        name: Returns the name of a job and of its folder.
+        workers: Maximum number of concurrent jobs; 0 for one per processor of the cluster.
+        tell: Receives the reports on this machine.
+        shared: Whether workers see `folder` itself; detected by default. If not, files are transferred.
 
     Raises:
-        WorkersError: Ray is missing, the cluster does not answer, or a job lost worker after worker.
-        Exception: Whatever `work` raises; the other jobs are dropped then.
+        WorkersError: Ray is missing, the cluster does not answer, or a job repeatedly lost its worker.
+        Exception: Any exception of `work`; the other jobs are then dropped.
     """
     with _connected(address) as ray, _token(folder, shared) as token:
         job = ray.remote(_job)
@@ -103,7 +103,7 @@ def map_in_ray(
 
 
 def require_ray() -> Any:
-    """Return Ray's module.
+    """Return the `ray` module.
 
     Raises:
         WorkersError: Ray is missing.
@@ -120,7 +120,7 @@ def require_ray() -> Any:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """Connect to a cluster; at the end all jobs of this process end there."""
+    """Connect to a cluster; on exit, all jobs of this process end there."""
     ray = require_ray()
     if ray.is_initialized():
         yield ray
@@ -142,7 +142,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 @contextmanager
 def _token(folder: Path, shared: bool | None) -> Iterator[str | None]:
-    """Put a file into a folder while jobs run, unless it is known who shares it: a worker that sees the file does."""
+    """Place a marker file in a folder while jobs run, if needed to detect whether workers share that folder."""
     if shared is not None:
         yield None
         return
@@ -171,7 +171,7 @@ def _job(
     files: Files | None,
     working_folder: str,
 ) -> Iterator[tuple[str, Any, Files]]:
-    """Do a job at a worker; yield its reports and at last its answer, each with the files that changed before it."""
+    """Run a job on a worker; yield its reports and finally its answer, each with the files changed before it."""
     if Path(working_folder).is_dir():
         os.chdir(working_folder)
     if files is None or (token is not None and (Path(folder) / token).exists()):
@@ -186,7 +186,7 @@ def _job(
 def _said(
     work: Callable[[Any, Path, Tell], Any], item: Any, folder: Path, changes: Callable[[], Files]
 ) -> Iterator[tuple[str, Any, Files]]:
-    """Yield what a job says while it works in a thread of its own."""
+    """Yield a job's reports while it works in its own thread."""
     heard: SimpleQueue[tuple[str, Any, Files]] = SimpleQueue()
 
     def run() -> None:
@@ -207,7 +207,7 @@ def _said(
 
 
 class _Changes:
-    """Returns the files of a folder that changed since the last call."""
+    """Tracks the files of a folder that have changed since the last call."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -233,7 +233,7 @@ def _contents(folder: Path) -> Files:
 
 
 def _apply(folder: Path, files: Files) -> None:
-    """Bring a folder to what another one holds; files that say how far a job is come after those that it refers to."""
+    """Make a folder match another one; progress files are written after the files they refer to."""
     last = ("checkpoint.safetensors", "result.json")
     for path, content in sorted(files.items(), key=lambda each: (each[1] is None, each[0] in last, each[0])):
         if content is None:

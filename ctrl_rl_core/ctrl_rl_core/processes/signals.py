@@ -1,7 +1,6 @@
 """Handlers of the signals that end a process.
 
-Whatever may be caught ends nodes and commands in one way: a terminal that is closed (SIGHUP) leaves a robot standing as
-Ctrl-C does.
+All catchable signals end nodes and commands the same way: closing the terminal (SIGHUP) stops a robot just like Ctrl-C.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from types import FrameType
 
 _NOT_CAUGHT = {"SIGKILL", "SIGSTOP"}
 _CRASHES = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL"}
-"""After these the same instruction would fail again, for ever: the process must end at once."""
+"""Signals after which the same instruction would fail forever; the process must end at once."""
 _SUSPEND = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 _HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH"}
 _ERRORS = {"SIGPIPE", "SIGXFSZ"}
-"""Python ignores these: a write fails with an OSError instead."""
+"""Signals that Python ignores; a write fails with an OSError instead."""
 _SPARED = _NOT_CAUGHT | _CRASHES | _SUSPEND | _HARMLESS | _ERRORS
 
 STOP_SIGNALS = tuple(sorted(number for number in signal.valid_signals() if getattr(number, "name", "") not in _SPARED))
-"""All signals that end a process unless it catches them: HUP, INT, QUIT, TERM, USR1, ALRM, the real-time ones ..."""
+"""All signals that end a process by default: HUP, INT, QUIT, TERM, USR1, ALRM, the real-time ones ..."""
 TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
-"""Signals that a terminal sends to all processes of a job at once: Ctrl-C, Ctrl-\\, and its own end."""
+r"""Signals that a terminal sends to all processes of a job: Ctrl-C, Ctrl-\, and hang-up."""
 
 _AGAIN_S = 0.01
 
@@ -36,9 +35,9 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 def set_handlers(
     handler: Handler, numbers: Sequence[int] = STOP_SIGNALS
 ) -> dict[int, Callable[[int, FrameType | None], object] | int | None]:
-    """Handle signals by `handler` from now on, and return the handlers of before.
+    """Install `handler` for the stop signals, and return the previous handlers.
 
-    SIGHUP stays ignored where `nohup` lets it be, and a handler that a library's own code has set stays.
+    SIGHUP stays ignored under `nohup`, and handlers installed by native library code are kept.
     """
     before = {}
     for number in numbers:
@@ -51,7 +50,7 @@ def set_handlers(
 
 @contextmanager
 def handle_signals(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> Iterator[None]:
-    """Handle signals by `handler` within the block. It works in the main thread only."""
+    """Handle signals with `handler` within the block; main thread only."""
     before = set_handlers(handler, numbers)
     try:
         yield
@@ -61,10 +60,10 @@ def handle_signals(handler: Handler, numbers: Sequence[int] = STOP_SIGNALS) -> I
 
 
 class Interruption:
-    """Whether a signal has come since a block of `interrupt_once` began.
+    """Whether a signal has arrived since an `interrupt_once` block started.
 
     Attributes:
-        came: Whether one has.
+        came: Whether a signal has arrived.
     """
 
     def __init__(self) -> None:
@@ -77,7 +76,7 @@ class Interruption:
         raise KeyboardInterrupt
 
     def raise_lost(self, lost: sys.UnraisableHookArgs) -> None:
-        """Interrupt again where Python had nobody to hand the KeyboardInterrupt to, as in a finaliser."""
+        """Raise again a KeyboardInterrupt that Python could not deliver, as in a finaliser."""
         if lost.exc_type is not KeyboardInterrupt:
             sys.__unraisablehook__(lost)
             return
@@ -90,10 +89,10 @@ _interruption: Interruption | None = None
 
 @contextmanager
 def interrupt_once() -> Iterator[Interruption]:
-    """Let the first signal within the block raise KeyboardInterrupt; those that follow wait for the end.
+    """Raise KeyboardInterrupt at the first signal within the block; later signals wait until its end.
 
-    A terminal that is closed sends several, and the second must not cut off what the first one began to put in order.
-    A block within another is part of that one. Outside of the main thread nothing interrupts.
+    Closing a terminal sends several signals, and the second must not interrupt the clean-up after the first. A nested
+    block is part of the outer one. Outside the main thread nothing is interrupted.
     """
     global _interruption
     if _interruption is not None or threading.current_thread() is not threading.main_thread():

@@ -22,7 +22,7 @@ Answer = TypeVar("Answer")
 _TICK = 1.0
 
 CONTEXT = multiprocessing.get_context("forkserver")
-"""Forked from a server without threads that has imported what the work needs: once for all workers, and safely."""
+"""Fork server: single-threaded, and has already imported the modules that the work needs."""
 
 
 class WorkersError(CtrlRlError):
@@ -40,16 +40,16 @@ def map_in_processes(
     """Yield the results as they are ready, not in the order of the items.
 
     Args:
-        work: Function of one item; importable by name, called in a worker.
+        work: Function of one item, importable by name; called in a worker.
         items: Arguments of `work`, begun in this order.
-        workers: Number of processes; 0 for one for each core. There are no more than items.
-        prepare: Function that runs once in each worker before the first item; importable by name.
+        workers: Number of processes, at most one per item; 0 for one per core.
+        prepare: Function called once in each worker before the first item; importable by name.
         terms: Arguments of `prepare`.
-        tick: Function that is called in this process about once a second, e.g. to show progress.
+        tick: Called in this process about once a second, e.g. to show progress.
 
     Raises:
         WorkersError: A worker was killed.
-        Exception: Any error of `work`; items that have not begun are dropped.
+        Exception: Any exception of `work`; items not yet started are dropped.
     """
     _preload(work, *items[:1])
     workers = max(1, min(len(items), workers or os.cpu_count() or 1))
@@ -76,14 +76,14 @@ def map_in_processes(
 
 
 def _preload(work: Callable[..., Any], *items: object) -> None:
-    """Have the fork server import the modules of a function and its items; no effect once the server is running."""
+    """Preload the modules of a function and its items in the fork server; no effect once the server runs."""
     function = work.func if isinstance(work, partial) else work
     CONTEXT.set_forkserver_preload([function.__module__, *(type(item).__module__ for item in items)])
 
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Make processes started in the block ignore the terminal's signals: this process handles them."""
+    """Make processes started in the block ignore terminal signals; this process handles them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -98,7 +98,7 @@ def _begin(prepare: Callable[..., None] | None, terms: tuple[Any, ...]) -> None:
 
 
 def _end_with_parent() -> None:
-    """Exit when the parent process dies: an orphan must not keep writing to a folder that the next run resumes."""
+    """Exit when the parent dies: an orphan must not keep writing to a folder that the next run resumes."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait_for_any([parent.sentinel])

@@ -1,4 +1,4 @@
-"""A lidar: its beams, and where it sits on a robot."""
+"""A lidar: its beams and its mounting position."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from ctrl_rl_core.io.schema import Schema
 
 
 class LidarSpec(Schema):
-    """Range beams, evenly spread over the field of view, counter-clockwise.
+    """Range beams, evenly spaced over the field of view, counter-clockwise.
 
     Attributes:
         beams: Number of beams in a scan.
-        field: Field of view [rad]; the last beam of a whole turn does not repeat the first.
-        placement: Bearings of the beams, at the `edges` of the field, or at `centres` of equal sectors.
-        range: Least and largest distance measured [m].
+        field: Field of view [rad]; in a full turn, the last beam does not repeat the first.
+        placement: Placement of the beams: from edge to edge of the field (`edges`), or at the `centres` of equal
+            sectors.
+        range: Minimum and maximum measured distance [m].
         rate: Scans per second [Hz].
         noise: Standard deviation of a range [m].
         dropout: Probability that a beam returns nothing.
@@ -39,21 +40,21 @@ class LidarSpec(Schema):
 
     @property
     def angle_increment(self) -> float:
-        """Angle from beam to beam [rad]."""
+        """Angle between beams [rad]."""
         whole_turn = math.isclose(self.field.length, 2 * math.pi)
         gaps = self.beams if whole_turn or self.placement == "centres" else max(1, self.beams - 1)
         return self.field.length / gaps
 
 
 class MountedLidar(Schema):
-    """A lidar on its robot; a file that says nothing about beams leaves them to a task.
+    """A lidar on its robot; a file without beam data leaves them to the task.
 
     Attributes:
-        x: Position ahead of the robot's middle [m].
-        y: Position to the left of it [m].
+        x: Position ahead of the robot's centre [m].
+        y: Position to the left of the centre [m].
         z: Height above the floor [m].
         yaw: Direction of its zero bearing, counter-clockwise from ahead [rad].
-        spec: Its beams; None where the file does not tell them.
+        spec: Beam data; None if the file has none.
     """
 
     x: Length = Field(default=0.0, ge=-1.0, le=1.0)

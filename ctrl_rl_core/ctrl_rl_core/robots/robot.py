@@ -1,16 +1,16 @@
-"""A robot by one file: `Robot.load("my_robot.yaml")`, or `find_robot("turtlebot3_burger")`.
+"""A robot defined by one file: `Robot.load("my_robot.yaml")`, or `find_robot("turtlebot3_burger")`.
 
     name: my_robot
     radius: 0.2 m
     speed: 0.5 m/s
     ...
 
-Wherever a robot's name is taken (a task file, a node's parameter, an option of a command), the path of such a file is
-taken too. A package offers robots by an entry point of the group `ctrl_rl.robots` that names a `Robot`:
+Wherever a robot's name is accepted (task file, node parameter, command option), so is the path of such a file. A
+package offers robots with entry points of the group `ctrl_rl.robots` that name a `Robot`:
 
     entry_points={"ctrl_rl.robots": ["my_robot = my_package:ROBOT"]}
 
-`ros2 run ctrl_rl_safety identify` measures the numbers of a robot of one's own from a bag.
+`ros2 run ctrl_rl_safety identify` measures the values for a custom robot from a bag.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from ctrl_rl_core.robots.lidar import MountedLidar
 GROUP = "ctrl_rl.robots"
 FOLDER = Path(__file__).parent
 DEFAULT_ROBOT = "turtlebot3_burger"
-"""The robot of nodes and commands that are told of none."""
+"""Default robot of nodes and commands."""
 COMMANDS = {"differential_drive": ("v", "omega"), "planar_quadrotor": ("T_1", "T_2")}
-"""Names of a robot's two commands by its kind, in the order of messages."""
+"""Names of a robot's two commands by kind of base, in message order."""
 _NEEDED = ("speed", "turn_rate", "acceleration", "braking", "turn_acceleration")
 _ROUNDING = 1e-3
 
 
 def _in(unit: str) -> BeforeValidator:
-    """Return the validator of a number with its unit."""
+    """Return a validator for a number with this unit."""
     return BeforeValidator(lambda value: parse_scalar(value, unit))
 
 
@@ -61,18 +61,19 @@ Mass = Annotated[float, Field(ge=0.0, le=1e4), _in("kg")]
 
 
 class RobotError(CtrlRlError):
-    """There is no such robot, or its file is wrong; the message names it."""
+    """The robot does not exist or its file is invalid; the message names it."""
 
 
 class Wheels(Schema):
-    """Two wheels on velocity motors.
+    """Two wheels driven by velocity-controlled motors.
 
     Attributes:
         radius: Radius of the wheels [m].
         separation: Distance between them [m].
-        torque: Largest torque of one wheel [N m].
+        torque: Maximum torque of one wheel [N m].
         lag: Time constant of a wheel's speed [s].
-        limited: Whether the base keeps to the robot's limits; else those of a task's commands count in the simulator.
+        limited: Whether the base enforces the robot's limits; otherwise the simulator applies those of the task's
+            commands.
     """
 
     radius: Radius
@@ -83,14 +84,14 @@ class Wheels(Schema):
 
 
 class Planning(Schema):
-    """What drivers ask a robot for, where that is less than its limits; 0 for those.
+    """Limits for planning, where lower than the robot's own; 0 to use the robot's own.
 
     Attributes:
-        speed: Largest speed [m/s].
-        turn_rate: Largest turn rate [rad/s].
-        acceleration: Largest change of the speed [m/s^2].
+        speed: Maximum speed [m/s].
+        turn_rate: Maximum turn rate [rad/s].
+        acceleration: Maximum acceleration [m/s^2].
         braking: Deceleration in front of obstacles [m/s^2].
-        turn_acceleration: Largest change of the turn rate [rad/s^2].
+        turn_acceleration: Maximum angular acceleration [rad/s^2].
     """
 
     speed: Limit = 0.0
@@ -101,35 +102,35 @@ class Planning(Schema):
 
 
 class Robot(Schema):
-    """A robot; nothing else knows a radius, a limit or where a lidar sits.
+    """A robot; the only place for radii, limits and lidar positions.
 
     Attributes:
         name: Name of the robot.
-        source: Origin of the numbers.
-        kind: Kind of its base, which says what its commands are.
-        radius: Radius of the disc around the robot's middle that holds all of it [m].
-        gap_radius: Radius of the disc with which it enters narrow gaps straight ahead [m]; 0 for `radius`.
-        length: Length of a rectangular robot, whose middle is where it turns around [m]; 0 for a round one.
+        source: Source of the values.
+        kind: Kind of base, which determines the commands.
+        radius: Radius of the disc around the robot's centre that encloses the robot [m].
+        gap_radius: Radius of the disc that enters narrow gaps straight ahead [m]; 0 for `radius`.
+        length: Length of a rectangular robot that rotates about its centre [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
-        speed: Largest speed forwards [m/s].
-        reverse_speed: Largest speed backwards [m/s].
-        turn_rate: Largest turn rate [rad/s].
-        acceleration: Largest change of the speed away from zero [m/s^2].
-        braking: Largest change of the speed towards zero that it surely has [m/s^2].
-        turn_acceleration: Largest change of the turn rate that it surely has [rad/s^2].
+        speed: Maximum forward speed [m/s].
+        reverse_speed: Maximum reverse speed [m/s].
+        turn_rate: Maximum turn rate [rad/s].
+        acceleration: Maximum rate of change of the speed away from zero [m/s^2].
+        braking: Guaranteed deceleration towards zero speed [m/s^2].
+        turn_acceleration: Guaranteed angular acceleration [rad/s^2].
         lag: Time constant with which speeds follow their commands [s].
         delay: Time from a command to its effect [s].
-        disturbance: Bound of the position's deviation from the model, for each second of motion [m/s].
-        range_error: Bound of the error of an echo's place [m].
-        scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
-        track: Distance between two driven wheels whose force speed and turn rate share [m]; 0 where they do not.
-        planning: Speeds and accelerations that drivers ask for, below the limits.
-        mass: Mass of the whole robot [kg]; 0 where a URDF tells it.
+        disturbance: Bound of the position's deviation from the model per second of motion [m/s].
+        range_error: Bound of the position error of an echo [m].
+        scan_age: Bound of the time by which an echo is older than its scan's stamp [s].
+        track: Distance between two driven wheels whose force speed and turn rate share [m]; 0 if they do not.
+        planning: Speeds and accelerations for planning, below the limits.
+        mass: Mass of the whole robot [kg]; 0 if given by a URDF.
         wheels: Driven wheels; None for a robot that is never simulated.
         base_height: Height of base_link above the floor [m].
-        urdf: URDF file of its body, one of the suite's or beside this file; empty for a body of these numbers.
-        least_voltage: Least voltage of its battery [V]; 0 where nobody knows.
-        lidar: Lidar, with its place on the robot.
+        urdf: URDF file of the body, from the suite or beside this file; empty to build the body from these values.
+        least_voltage: Minimum battery voltage [V]; 0 if unknown.
+        lidar: Lidar with its mounting position.
     """
 
     name: str = Field(min_length=1, max_length=100)
@@ -188,10 +189,10 @@ class Robot(Schema):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Robot:
-        """Read a robot's file.
+        """Load a robot file.
 
         Raises:
-            RobotError: It is missing or wrong; the message names file and key.
+            RobotError: The file is missing or invalid; the message names file and key.
         """
         file = Path(path).expanduser()
         with raise_as(RobotError, file):
@@ -205,35 +206,35 @@ class Robot(Schema):
 
     @property
     def commands(self) -> tuple[str, str]:
-        """Names of its two commands, in the order of messages."""
+        """Names of the two commands, in message order."""
         return COMMANDS[self.kind]
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Least and largest command: speed [m/s] and turn rate [rad/s] each."""
+        """Minimum and maximum command: speed [m/s] and turn rate [rad/s] each."""
         return (-self.reverse_speed, -self.turn_rate), (self.speed, self.turn_rate)
 
     @property
     def plan(self) -> Planning:
-        """What drivers ask it for, its limits where it says nothing else."""
+        """Limits for planning; values not given are the robot's own limits."""
         return Planning.model_construct(
             **{name: getattr(self.planning, name) or getattr(self, name) for name in Planning.model_fields}
         )
 
     @property
     def through_gaps(self) -> float:
-        """Radius of the disc with which it goes through narrow gaps, entered straight ahead [m]."""
+        """Radius of the disc for narrow gaps, entered straight ahead [m]."""
         return self.gap_radius or self.radius
 
     @property
     def urdf_file(self) -> Path | None:
-        """The URDF file beside its own file; None for one of the suite's, or none at all."""
+        """The URDF file beside the robot's own file; None for one of the suite's, or without a URDF."""
         file = None if self._folder is None or not self.urdf else self._folder / Path(self.urdf).expanduser()
         return file if file is not None and file.is_file() else None
 
     @property
     def digest(self) -> str:
-        """SHA-256 (hex) of its numbers, and of its URDF file where it has one of its own."""
+        """SHA-256 (hex) of the robot's values, and of its own URDF file if it has one."""
         content = self.model_dump_json(exclude={"source"}).encode()
         return hashlib.sha256(content + (b"" if self.urdf_file is None else self.urdf_file.read_bytes())).hexdigest()
 
@@ -244,19 +245,19 @@ def _shipped(name: str) -> Robot:
 
 
 def robot_names() -> tuple[str, ...]:
-    """Return the names of the suite's robots, and of those of installed packages."""
+    """Return the names of all robots, of the suite and of installed packages."""
     return (*sorted(file.stem for file in FOLDER.glob("*.yaml")), *find_plugins(GROUP))
 
 
 def find_robot(name_or_path: str | os.PathLike[str], folder: Path | None = None) -> Robot:
-    """Return a robot of the suite or of an installed package by name, or that of a .yaml file.
+    """Return a robot of the suite or of an installed package by name, or load a .yaml file.
 
     Args:
         name_or_path: Name, or path of a file.
-        folder: Folder that a relative path is taken from; the working directory unless given.
+        folder: Base folder of a relative path; the working directory by default.
 
     Raises:
-        RobotError: There is none, or its file is wrong.
+        RobotError: The robot does not exist, or its file is invalid.
     """
     text = os.fspath(name_or_path)
     if text.endswith((".yaml", ".yml")):
@@ -270,6 +271,6 @@ def find_robot(name_or_path: str | os.PathLike[str], folder: Path | None = None)
 
 
 def robot_file(path: str, folder: Path | None = None) -> Path:
-    """Return the path of a robot's file, which is relative to a folder where one is given."""
+    """Return the path of a robot file, resolved against a folder if one is given."""
     file = Path(path).expanduser()
     return file if folder is None else folder / file

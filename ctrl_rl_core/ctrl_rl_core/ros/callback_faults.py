@@ -1,4 +1,4 @@
-"""Guards of callbacks: errors are caught, counted, and logged at most every few seconds."""
+"""Guards for callbacks: errors are caught, counted, and logged at a limited rate."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from rclpy.logging import LoggingSeverity
 from ctrl_rl_core.errors import one_line
 
 SAY_EVERY_S = 5.0
-"""Wall time between two lines about one callback that fails again and again [s]."""
+"""Minimum wall time between two log lines about the same failing callback [s]."""
 
 
 class Faults:
-    """The failures of one node's callbacks.
+    """Records the failures of a node's callbacks.
 
     Args:
-        react: Function that is called with each error; its own errors are counted too.
+        react: Called with each error; errors it raises are counted too.
         logger: Returns the node's logger.
-        fatal: Classes of errors that end the node.
+        fatal: Error classes that end the node.
 
     Attributes:
-        count: Failures so far.
-        last: The last failure in one line, empty for none.
-        failing: Timers and topics whose callback failed when it was called last.
-        ended_by: The first fatal error, None for none.
+        count: Number of failures.
+        last: Last failure in one line; empty for none.
+        failing: Timers and topics whose latest callback failed.
+        ended_by: First fatal error; None for none.
     """
 
     def __init__(
@@ -46,15 +46,15 @@ class Faults:
 
     @property
     def recent(self) -> bool:
-        """Whether a callback is failing, or has failed within the last seconds."""
+        """Whether a callback is failing or has failed within the last few seconds."""
         return bool(self.failing) or time.monotonic() - self._last_at < SAY_EVERY_S
 
     def guard(self, callback: Callable[..., Any], source: str) -> Callable[..., Any]:
-        """Return `callback` so that it cannot raise.
+        """Wrap `callback` so that it cannot raise.
 
         Args:
-            callback: The function that a timer or a topic calls.
-            source: The topic, or "timer".
+            callback: Callback of a timer or subscription.
+            source: Name of the topic, or "timer".
         """
         name = f"{_name_of(callback)} ({source})"
 
@@ -74,9 +74,9 @@ class Faults:
         return guarded
 
     def guard_service(self, callback: Callable[..., Any], source: str) -> Callable[..., Any]:
-        """Return a service's `callback` so that it cannot raise; a failure is answered with an empty response.
+        """Wrap a service `callback` so that it cannot raise; a failure returns an empty response.
 
-        The response says success = False and the reason where it has such fields.
+        If the response has the fields, it reports success = False and the reason.
         """
         name = f"{_name_of(callback)} ({source})"
 

@@ -1,4 +1,4 @@
-"""The little rclpy glue that all nodes share: quality of service, settings, diagnostics, life and death.
+"""Base class of all nodes: quality of service, settings, diagnostics, start and shutdown.
 
 A node of this suite is a class derived from `SuiteNode`, run by `run_node`:
 
@@ -36,14 +36,14 @@ from ctrl_rl_core.ros.parameter_service import CheckedParameterService
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError, check_all, declare
 
 SENSOR = qos_profile_sensor_data
-"""Subscribers to scan and odom: best effort matches every publisher, the real robot's too."""
+"""QoS of subscriptions to scan and odom: best effort matches every publisher, including real robots."""
 SCAN_PUBLISHER = QoSProfile(depth=5)
 ODOM_PUBLISHER = QoSProfile(depth=10)
 COMMAND = QoSProfile(depth=1)
 RESULT = QoSProfile(depth=100)
-"""Rewards, values, latents, episode states: every message counts, bursts are buffered."""
+"""QoS of rewards, values, latents and episode states: every message counts, bursts are buffered."""
 DIAGNOSTICS = "/diagnostics"
-"""For the robots of all namespaces, as ROS's aggregator expects it; a status carries its node's full name."""
+"""Topic for the robots of all namespaces, as ROS's aggregator expects; a status carries the node's full name."""
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 Status = tuple[bytes, str, Mapping[str, object]]
@@ -51,22 +51,22 @@ Status = tuple[bytes, str, Mapping[str, object]]
 
 
 class SuiteNode(Node):
-    """A node with checked settings, diagnostics at 1 Hz of wall time, and a last word before it stops.
+    """A node with checked settings, diagnostics at 1 Hz of wall time, and a clean shutdown.
 
-    No callback ends it: an error of one is counted, shown in the log and in diagnostics, and handed to
+    Callback errors do not end the node: they are counted, shown in the log and in diagnostics, and passed to
     `on_callback_error`. Log level debug shows the traceback.
 
     Attributes:
-        PARAMETERS: The table of the node's parameters.
-        FATAL: Errors of a callback that end the node, as it cannot do its work any more.
-        faults: The failures of its callbacks.
-        executor_name: The kind of the executor that serves it.
-        QUICK: Whether to use the events executor: half the latency and CPU of the usual one, whose cost grows with
-            every timer and service; it knows neither raw subscriptions nor guard conditions.
-        SHARED_MEMORY: Whether Fast DDS may use shared memory. A node that drives a robot must not: a process that is
-            killed while it holds a lock there freezes the others. The user's own choice of transports counts, and with
-            ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps uses shared memory whatever is chosen.
-        settings: Values of the parameters by name, updated by `ros2 param set`.
+        PARAMETERS: Table of the node's parameters.
+        FATAL: Callback errors that end the node, because it cannot continue its work.
+        faults: Failures of its callbacks.
+        executor_name: Kind of executor that runs the node.
+        QUICK: Whether to use the events executor: half the latency and CPU of the default one, whose cost grows with
+            every timer and service; it supports neither raw subscriptions nor guard conditions.
+        SHARED_MEMORY: Whether Fast DDS may use shared memory. Disable it in a node that drives a robot: a process
+            killed while it holds a shared-memory lock freezes the others. A user's own choice of transports takes
+            precedence, and with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST rmw_fastrtps always uses shared memory.
+        settings: Parameter values by name, updated by `ros2 param set`.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
@@ -97,49 +97,49 @@ class SuiteNode(Node):
         return ok("running")
 
     def diagnostics_stamp(self) -> TimeMsg:
-        """Return ROS time now: wall time, or the simulation's with use_sim_time; override it where /clock is made."""
+        """Return the current ROS time (wall or simulated); override it in the node that publishes /clock."""
         return self.get_clock().now().to_msg()
 
     def on_parameter_changed(self, name: str) -> None:
-        """Act on a live parameter that now has another value; override it where it matters.
+        """React to a changed live parameter; override it if needed.
 
         Raises:
-            CtrlRlError: The value does not serve; the parameter keeps the one it had.
+            CtrlRlError: The value is invalid; the parameter keeps its old value.
         """
 
     def stop(self) -> None:
-        """Finish the work (send zero velocity, close a file) while publishers still work; called once, override it."""
+        """Finish the work (send zero velocity, close a file) while publishers still work; called once. Override it."""
 
     def on_suspend(self) -> None:
-        """Leave things safe before Ctrl-Z suspends the process; override it in a node that drives."""
+        """Bring the robot to a safe state before Ctrl-Z suspends the process; override it in nodes that drive."""
 
     def on_callback_error(self, error: Exception) -> None:
-        """React to a callback that raised; it is counted and logged already. Override it in a node that drives.
+        """React to a callback error, already counted and logged; override it in nodes that drive.
 
         Such a node stops the robot, and keeps it stopped while `faults.failing` names an input.
         """
 
     def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Create a timer whose callback cannot end the node."""
+        """Create a timer with a callback that cannot end the node."""
         return super().create_timer(timer_period_sec, self.faults.guard(callback, "timer"), *args, **kwargs)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Any:
-        """Subscribe with a callback that cannot end the node."""
+        """Create a subscription with a callback that cannot end the node."""
         return super().create_subscription(msg_type, topic, self.faults.guard(callback, topic), *args, **kwargs)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any
     ) -> Any:
-        """Serve with a callback that cannot end the node; where it fails, the client gets an empty response."""
+        """Create a service with a callback that cannot end the node; on failure, the client gets an empty response."""
         callback = self.faults.guard_service(callback, srv_name)
         return super().create_service(srv_type, srv_name, callback, *args, **kwargs)
 
     def other_publishers(self, topic: str) -> tuple[str, ...]:
-        """Return the full names of the nodes that publish on `topic`, its resolved name, besides this one, in order.
+        """Return the full names of all other nodes that publish on `topic` (a resolved name), sorted.
 
-        A second node of the same name counts as another one: two runs of one controller are the likeliest mistake.
+        A second node with the same name counts too: starting a controller twice is the most likely mistake.
         """
         names = sorted(_name_of(info) for info in self.get_publishers_info_by_topic(topic))
         own = self.get_fully_qualified_name()
@@ -148,12 +148,12 @@ class SuiteNode(Node):
         return tuple(names)
 
     def publishers_of_other_types(self, topic: str, kind: str) -> tuple[str, ...]:
-        """Return "/name (pkg/msg/Type)" of each publisher on `topic` of another type than `kind`: none is heard."""
+        """Return "/name (pkg/msg/Type)" for each publisher on `topic` of a type other than `kind`, never received."""
         infos = self.get_publishers_info_by_topic(topic)
         return tuple(sorted(f"{_name_of(info)} ({info.topic_type})" for info in infos if info.topic_type != kind))
 
     def call_soon(self, callback: Callable[[], Any]) -> None:
-        """Call `callback` once what has arrived by now is handled, with the events executor; with others at once."""
+        """Call `callback` after the messages received so far (events executor), or at once (other executors)."""
         executor = self.executor
         if executor is None:
             callback()
@@ -165,7 +165,7 @@ class SuiteNode(Node):
         self.get_logger().warning(f"parameter request refused: {reason}", throttle_duration_sec=5.0)
 
     def _status(self) -> Status:
-        """Return the node's status with the failures of its callbacks."""
+        """Return the node's status, including callback failures."""
         try:
             level, message, values = self.status()
         except Exception as error:  # a failing status is itself a status
@@ -219,32 +219,32 @@ def _name_of(info: TopicEndpointInfo) -> str:
 
 
 def ok(message: str, **values: object) -> Status:
-    """Return a healthy `SuiteNode.status`."""
+    """Return a healthy status."""
     return DiagnosticStatus.OK, message, values
 
 
 def warn(message: str, **values: object) -> Status:
-    """Return a `SuiteNode.status` that asks for attention."""
+    """Return a warning status."""
     return DiagnosticStatus.WARN, message, values
 
 
 def seconds(stamp: TimeMsg) -> float:
-    """Return a time stamp in seconds."""
+    """Convert a time stamp to seconds."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
 def nanoseconds(stamp: TimeMsg) -> int:
-    """Return a time stamp in whole nanoseconds."""
+    """Convert a time stamp to whole nanoseconds."""
     return int(stamp.sec * 10**9 + stamp.nanosec)
 
 
 def to_stamp(nanoseconds: int) -> TimeMsg:
-    """Return a time stamp from whole nanoseconds."""
+    """Convert whole nanoseconds to a time stamp."""
     return TimeMsg(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def float32_array(values: NDArray[np.floating]) -> array[float]:
-    """Return `values` as the array that a float32[] field takes at once; an ndarray is copied by element."""
+    """Convert `values` to the array type that a float32[] field takes directly; an ndarray is copied by element."""
     out = array("f")
     out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
     return out

@@ -1,4 +1,4 @@
-"""rclpy's parameter services, with requests checked: rclpy raises at a value of an unknown type."""
+"""Parameter services with validated requests, because rclpy raises on a value of unknown type."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rclpy.parameter_service import ParameterService
 from ctrl_rl_core.errors import one_line
 
 MOST_NAMES = 1000
-"""Parameters that one request may name."""
+"""Maximum number of parameters in one request."""
 _LAST_TYPE = ParameterType.PARAMETER_STRING_ARRAY
 
 
 class CheckedParameterService(ParameterService):
-    """The six parameter services of a node; a bad request is answered and counted, and never raises.
+    """The six parameter services of a node; an invalid request is answered and counted, and never raises.
 
     Args:
-        node: Whose parameters are served.
-        refused: Called with the reason for each request that makes no sense.
+        node: Node that owns the parameters.
+        refused: Called with the reason for each invalid request.
     """
 
     def __init__(self, node: Node, refused: Callable[[str], None]) -> None:
@@ -60,7 +60,7 @@ class CheckedParameterService(ParameterService):
         return super()._list_parameters_callback(request, response)
 
     def _bounded(self, request: Any) -> Any:
-        """Return a request without names where it has too many: ROS answers a bad list of names with an empty one."""
+        """Remove the names of a request that has too many; ROS answers an invalid list of names with an empty one."""
         if len(request.names) > MOST_NAMES:
             self._refused(f"more than {MOST_NAMES} parameters in one request")
             request.names = []

@@ -1,4 +1,4 @@
-"""Node parameters as a table: name, default, meaning and range, from which checks, descriptors and --help follow."""
+"""Declarative node parameters: name, default, meaning and range, used for checks, descriptors and --help."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from ctrl_rl_core.robots.robot import DEFAULT_ROBOT, Robot, RobotError, find_rob
 _LARGEST_FLOAT = 1.7976931348623157e308
 _LARGEST_INT = 2**63 - 1
 LONGEST_TEXT = 4096
-"""Letters of a text: the longest path."""
+"""Maximum length of a text: the longest path."""
 LONGEST_LIST = 1000
 _LONGEST_PART = 240
-"""Letters of one part of a path: file systems take 255 bytes, with the ending that a name may be given."""
+"""Maximum length of a path component: file systems allow 255 bytes, including a suffix added later."""
 _ROS_NAME = re.compile(r"(~(?=/|$))?/?([A-Za-z_{][A-Za-z0-9_{}]*(/[A-Za-z_{][A-Za-z0-9_{}]*)*/?)?", re.ASCII)
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number, written with a point", str: "a text"}
 
@@ -32,25 +32,25 @@ ROBOT_MEANING = "Robot that is driven: turtlebot3_burger, turtlebot2, turtlebot4
 
 
 class ParameterError(CtrlRlError):
-    """A node parameter has a wrong type, lies outside its range or contradicts another one."""
+    """A node parameter has a wrong type, is out of range or contradicts another one."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a node; its type is that of the default.
+    """A node parameter; its type is that of the default.
 
     Attributes:
-        name: As on the command line, `-p name:=value`.
-        default: The one default.
+        name: Name, as in `-p name:=value`.
+        default: Default value.
         description: Meaning, with the unit in brackets.
-        minimum: Least value allowed, None for no bound.
-        maximum: Largest value allowed, None for no bound.
-        choices: The texts allowed; empty for any.
+        minimum: Minimum value; None for no bound.
+        maximum: Maximum value; None for no bound.
+        choices: Allowed texts; empty for any.
         live: Whether `ros2 param set` may change it while the node runs.
-        kind: Meaning of a text: any; the name or path of a file, with `~` for the home folder; a ROS name; or the name
-            or file of a robot.
-        of_robot: Attribute, such as `lidar.x`, of the robot that the node's parameter of kind `robot` names, whose
-            value is the default. Empty where the default is the same for all robots.
+        kind: Meaning of a text: arbitrary; the name or path of a file, with `~` for the home folder; a ROS name; or the
+            name or file of a robot.
+        of_robot: Robot attribute, such as `lidar.x`, that provides the default; the robot is given by the node's
+            parameter of kind `robot`. Empty if the default is the same for all robots.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Parameter:
 
     @property
     def limits(self) -> str:
-        """The allowed values in words; empty where all of the type are."""
+        """The allowed values in words; empty if every value of the type is allowed."""
         if self.choices:
             return "one of: " + ", ".join(self.choices)
         match self.minimum, self.maximum:
@@ -79,7 +79,7 @@ class Parameter:
                 return f"{low:g} to {high:g}"
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return the descriptor that `ros2 param describe` shows."""
+        """Return the descriptor shown by `ros2 param describe`."""
         out = ParameterDescriptor(name=self.name, description=self.description, read_only=not self.live)
         out.additional_constraints = self.limits
         if self.minimum is None and self.maximum is None:
@@ -94,11 +94,11 @@ class Parameter:
         return out
 
     def check(self, value: Any) -> Any:
-        """Return `value` as the node works with it.
+        """Validate `value` and convert it to the form that the node uses.
 
         Raises:
-            ParameterError: It is of another type, no finite number, not one of the choices, too long, or no name or
-                path.
+            ParameterError: The value has another type, is not finite, is not one of the choices, is too long, or is not
+                a valid name or path.
         """
         kind = type(self.default)
         if not (isinstance(value, kind) or (kind is list and isinstance(value, tuple))) or (
@@ -140,7 +140,7 @@ class Parameter:
         return ParameterError(f"parameter '{self.name}' is {given}: must be {kind}: {self.description}")
 
     def _given(self, value: Any) -> Any:
-        """Return the value given at the start, where YAML took a text for a number or has no type for a list."""
+        """Return the value given at startup, converted where YAML read a text as a number or has no type for a list."""
         if isinstance(self.default, list) and value in (None, []):
             return [""]
         if isinstance(self.default, str) and isinstance(value, float) and not math.isfinite(value):
@@ -151,10 +151,10 @@ class Parameter:
 
 
 def check_all(table: Iterable[Parameter], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those `values` that are in the table, as the node works with them.
+    """Validate those `values` that are in the table.
 
     Raises:
-        ParameterError: One is not allowed.
+        ParameterError: A value is not allowed.
     """
     return {each.name: each.check(values[each.name]) for each in table if each.name in values}
 
@@ -163,7 +163,7 @@ def declare(node: Node, table: Iterable[Parameter]) -> dict[str, Any]:
     """Declare a table of parameters on a node and return their values by name.
 
     Raises:
-        ParameterError: A value given at start has a wrong type or is not allowed.
+        ParameterError: A value given at startup has a wrong type or is not allowed.
     """
     values: dict[str, Any] = {}
     robot: Robot | None = None
@@ -199,14 +199,14 @@ def robot_parameter(
     maximum: float | None = None,
     live: bool = False,
 ) -> Parameter:
-    """Return a parameter whose default is a number of the node's robot; --help shows that of the usual robot.
+    """Return a parameter whose default is an attribute of the node's robot; --help shows that of the default robot.
 
     Args:
         name: Name of the parameter.
-        attribute: Attribute of a robot whose value is the default, such as `lidar.x`.
+        attribute: Robot attribute that provides the default, such as `lidar.x`.
         description: Meaning, with the unit in brackets.
-        minimum: Least value allowed, None for no bound.
-        maximum: Largest value allowed, None for no bound.
+        minimum: Minimum value; None for no bound.
+        maximum: Maximum value; None for no bound.
         live: Whether it may change while the node runs.
     """
     default = of_robot(find_robot(DEFAULT_ROBOT), attribute)
@@ -215,7 +215,7 @@ def robot_parameter(
 
 
 def of_robot(robot: Robot, attribute: str) -> float:
-    """Return a number of a robot, as in `lidar.x`."""
+    """Return a robot attribute given by a dotted name, such as `lidar.x`."""
     value: Any = robot
     for part in attribute.split("."):
         value = getattr(value, part)
@@ -223,7 +223,7 @@ def of_robot(robot: Robot, attribute: str) -> float:
 
 
 ROBOT = Parameter("robot", DEFAULT_ROBOT, ROBOT_MEANING, kind="robot")
-"""The robot of a node, whose numbers are the defaults of its other parameters."""
+"""The node's robot, which provides the defaults of other parameters."""
 
 
 def _shown(value: Any) -> str:
@@ -232,7 +232,7 @@ def _shown(value: Any) -> str:
 
 
 def help_text(program: str, description: str, table: Iterable[Parameter]) -> str:
-    """Return the text of a node's --help."""
+    """Return the --help text of a node."""
     lines = [
         f"usage: {program} [--ros-args -p NAME:=VALUE ... -r FROM:=TO ...]",
         "",

@@ -1,4 +1,4 @@
-"""The life of a node's process: checks at the start, executor, signals, and a clean end."""
+"""Runs a node process: startup checks, executor, signals, and a clean shutdown."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ EXIT_FAILURE = 1
 EXIT_USAGE = 2
 _POLL_S = 0.1
 _BREATH_S = 0.001
-"""Pause after a failure outside of all callbacks [s], so that a repeated one leaves the processor to others."""
+"""Pause after an error outside of all callbacks [s], so that a repeated error does not saturate the CPU."""
 _FAREWELL_S = 10.0
-"""Time that the middleware has to close a node [s]."""
+"""Maximum time for the middleware to close a node [s]."""
 _LEAST_FILES = 64
-"""Files and sockets that a node may have open; the middleware alone takes some 30."""
+"""Minimum limit of open files and sockets; the middleware alone needs about 30."""
 
 
 class _InterruptedError(BaseException):
-    """A signal came while work was under way that may be cut off anywhere."""
+    """A signal arrived during interruptible work."""
 
 
 class _Stop:
-    """Handling of the signals that end a process: they request the end, and interrupt blocks that allow it.
+    """Handles the signals that end a process: they request shutdown, and interrupt blocks that allow it.
 
     Attributes:
-        asked: Whether one has come.
-        suspended: Whether Ctrl-Z has come since the last time that it was obeyed.
+        asked: Whether shutdown was requested.
+        suspended: Whether Ctrl-Z is pending.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class _Stop:
         self._may_raise = False
 
     def suspend(self, _signal: int, _frame: object) -> None:
-        """Note Ctrl-Z."""
+        """Record Ctrl-Z."""
         self.suspended = True
 
     def __call__(self, _signal: int, _frame: object) -> None:
@@ -73,7 +73,7 @@ class _Stop:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Let a signal cut this block off."""
+        """Let a signal interrupt this block."""
         if self.asked:
             raise _InterruptedError
         before, self._may_raise = self._may_raise, True
@@ -85,15 +85,15 @@ class _Stop:
 
 _stop = _Stop()
 interruptible = _stop.at_once
-"""Context of long work in a callback, as reading a file, that a signal may cut off anywhere: the node then ends."""
+"""Context for long work in a callback, such as reading a file: a signal may abort it anywhere and end the node."""
 
 
 def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
-    """Run one node until a signal that ends processes, or shutdown, and return the process's exit code.
+    """Run one node until a stop signal or shutdown, and return the process's exit code.
 
-    It ends with the `ros2 run` or `ros2 launch` that started it, too. The signals are caught here rather than by rclpy,
-    which would close the publishers before `SuiteNode.stop` could send its zero velocity. 0: stopped in good order; 1:
-    the work failed; 2: a wrong parameter or argument.
+    The node also ends with the `ros2 run` or `ros2 launch` that started it. Signals are caught here rather than by
+    rclpy, which would close the publishers before `SuiteNode.stop` could send its zero velocity. Exit codes: 0 clean
+    stop; 1 the work failed; 2 invalid parameter or argument.
     """
     arguments = sys.argv if arguments is None else arguments
     program = arguments[0].rsplit("/", 1)[-1]
@@ -130,10 +130,10 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
 
 
 def initialise(arguments: list[str]) -> list[str]:
-    """Start rclpy with the process's signals left alone and return the arguments that are not ROS's.
+    """Start rclpy without changing the signal handlers, and return the non-ROS arguments.
 
     Raises:
-        ParameterError: A ROS argument is wrong, or the process has too few files or no folder for its log.
+        ParameterError: A ROS argument is invalid, the limit of open files is too low, or there is no log folder.
     """
     _check_open_files()
     _check_log_folder()
@@ -147,17 +147,18 @@ def initialise(arguments: list[str]) -> list[str]:
 
 
 def _leave_out_shared_memory() -> None:
-    """Let Fast DDS use UDP alone, unless the user has chosen; its own variables are its only door."""
+    """Restrict Fast DDS to UDP unless the user chose a transport; environment variables are its only interface."""
     chosen = ("FASTDDS_BUILTIN_TRANSPORTS", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
     if not any(os.environ.get(name) for name in chosen):
         os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 
 def _check_open_files() -> None:
-    """Raise the limit of open files as far as it may be where it is too low for a node.
+    """Raise the limit of open files to its maximum if it is too low for a node.
 
     Raises:
-        ParameterError: It may not be raised that far; the middleware would fail anywhere, or serve half of its topics.
+        ParameterError: The maximum is still too low; the middleware would fail unpredictably, or serve half of its
+            topics.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= _LEAST_FILES or soft == resource.RLIM_INFINITY:
@@ -170,10 +171,10 @@ def _check_open_files() -> None:
 
 
 def _check_log_folder() -> None:
-    """Check whether ROS can write its log, before it complains in many lines.
+    """Check that ROS can write its log, before it reports the problem in many lines.
 
     Raises:
-        ParameterError: It cannot.
+        ParameterError: ROS cannot write its log.
     """
     given, home = os.environ.get("ROS_LOG_DIR"), os.environ.get("HOME")
     ros_home = os.environ.get("ROS_HOME") or (f"{home}/.ros" if home else "")
@@ -200,7 +201,7 @@ def _executor(node: SuiteNode) -> Any:
 
 
 def _spin(node: SuiteNode) -> None:
-    """Serve the node's callbacks until a signal or the middleware ends it."""
+    """Run the node's callbacks until a signal or the middleware ends it."""
     executor = _executor(node)
     node.executor_name = type(executor).__name__
     executor.add_node(node)
@@ -224,7 +225,7 @@ def _spin(node: SuiteNode) -> None:
 
 
 def _suspend(node: SuiteNode) -> None:
-    """Obey Ctrl-Z once the robot has been told to stand: a process that is suspended cannot do that any more."""
+    """Suspend the process after stopping the robot, since a suspended process cannot stop it."""
     _stop.suspended = False
     node.on_suspend()
     os.kill(os.getpid(), signal.SIGSTOP)
@@ -243,10 +244,10 @@ def _close(node: SuiteNode | None) -> None:
 
 @contextmanager
 def _soon() -> Iterator[None]:
-    """End the process, with 1, if the block hangs: the node has finished its work by then.
+    """End the process with code 1 if the block hangs; the node has finished its work by then.
 
-    Fast DDS 2.14 was seen to wait for one of its own threads for ever, with Python's lock held: no Python thread or
-    signal handler gets through, but faulthandler's thread does.
+    Fast DDS 2.14 was seen to wait forever for one of its own threads while holding Python's lock: then no Python thread
+    or signal handler runs, but faulthandler's thread does.
     """
     with open(os.devnull, "w") as nowhere:
         faulthandler.dump_traceback_later(_FAREWELL_S, exit=True, file=nowhere)
@@ -257,7 +258,7 @@ def _soon() -> Iterator[None]:
 
 
 def _explain(program: str) -> None:
-    """Print the traceback of the error at hand where the log level is debug."""
+    """Print the traceback of the current error if the log level is debug."""
     if rclpy.ok() and get_logger(program).is_enabled_for(LoggingSeverity.DEBUG):
         _say(traceback.format_exc(), sys.stderr)
 

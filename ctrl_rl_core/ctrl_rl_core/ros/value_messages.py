@@ -1,4 +1,4 @@
-"""Value functions as messages: the grid, a slice of it, answers to queries."""
+"""Value functions as messages: a grid, a slice of it, and answers to queries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNKNOWN, _HIGHEST = -1, 100
 
 
 def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
-    """Return a grid as a message."""
+    """Convert a grid to a message."""
     out = ValueGridMsg(
         header=Header(stamp=stamp, frame_id=frame),
         kind=grid.kind,
@@ -41,16 +41,16 @@ def grid_message(grid: ValueGrid, stamp: Time, frame: str) -> ValueGridMsg:
 
 
 def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time, frame: str) -> OccupancyGrid:
-    """Return the values over the plane of positions, as a map: 0 the least, 100 the largest, -1 unreachable.
+    """Convert the values over the plane of positions to a map: 0 the minimum, 100 the maximum, -1 unreachable.
 
     Args:
-        function: Over positions x, y or x, z and more.
-        at: The other components [their unit]; 0 where left out.
+        function: Value function over positions x, y or x, z and other components.
+        at: Values of the other components [their unit]; 0 by default.
         stamp: Time stamp of the message.
-        frame: Frame of the positions; a map lies in x-y, so an x-z plane is shown lying down.
+        frame: Frame of the positions; maps lie in x-y, so an x-z plane is shown horizontally.
 
     Raises:
-        ValueFunctionError: There is no plane of positions, or `at` names no state.
+        ValueFunctionError: There is no plane of positions, or `at` names an unknown state.
     """
     plane = plane_of(function)
     first, second = plane.first, plane.second
@@ -71,7 +71,7 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
 
 
 def as_percent(values: NDArray[np.floating]) -> NDArray[np.int8]:
-    """Return values (...) scaled to 0 .. 100 over the finite ones; -1 for the others."""
+    """Scale the finite values (...) to 0 .. 100; others become -1."""
     finite = np.isfinite(values)
     out = np.full(values.shape, _UNKNOWN, dtype=np.int8)
     if finite.any():
@@ -81,7 +81,7 @@ def as_percent(values: NDArray[np.floating]) -> NDArray[np.int8]:
 
 
 class _Answers(Protocol):
-    """The part of a value function that answers queries."""
+    """Protocol of a value function that can answer queries."""
 
     @property
     def state_names(self) -> tuple[str, ...]: ...
@@ -90,7 +90,7 @@ class _Answers(Protocol):
 
 
 def answer(function: _Answers, request: QueryValues.Request, response: QueryValues.Response) -> None:
-    """Fill the answer to a query; the additional memory does not grow with its size."""
+    """Fill in the answer to a query; the additional memory does not grow with the query's size."""
     n = len(function.state_names)
     states = np.asarray(request.states, dtype=float)
     if len(states) % n:

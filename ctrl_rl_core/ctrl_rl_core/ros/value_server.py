@@ -1,6 +1,6 @@
-"""Base class of nodes that serve a value function: a value for each odometry message, grid, slice, queries, reload.
+"""Base class of value-function nodes: a value per odometry message, grid, slice, queries and reload.
 
-The time-to-reach node and the optimal-control node each derive from `ValueServer` and read their own files.
+The time-to-reach node and the optimal-control node derive from `ValueServer` and read their own file types.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ SERVER_PARAMETERS = (
     Parameter("frame", "map", "Frame of the value function's positions; odometry is taken as given in it."),
 )
 _EVERY_MESSAGE = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort matches every publisher of odometry; the depth outlasts a burst."""
+"""QoS of odometry: best effort matches every publisher; the depth outlasts a burst."""
 _STALE_S = 2.0
 _LOOK_S = 0.05
-"""Time between two looks whether the values of grids are there [s]."""
+"""Interval of the checks whether grid values are ready [s]."""
 Valued = Callable[[Odometry, NDArray[np.float64], float], None]
 
 
 class ValueServer(SuiteNode):
-    """Publishes one StateValue for each odometry message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
+    """Publishes one StateValue per odometry message, and latched ~/grid and ~/slice; serves ~/query and ~/reload.
 
     Attributes:
-        TOPIC: Where the StateValue goes.
+        TOPIC: Topic of the StateValue.
         KIND: Kind of value function that the node serves.
     """
 
@@ -82,19 +82,19 @@ class ValueServer(SuiteNode):
         """Read a file.
 
         Raises:
-            CtrlRlError: It is missing or wrong.
+            CtrlRlError: The file is missing or invalid.
         """
 
     @abstractmethod
     def prepare(self, function: ValueFunction) -> Valued:
-        """Return the function that gets each odometry message, its state (n,) and value, before the StateValue is sent.
+        """Return a function called with each odometry message, state (n,) and value before the StateValue is sent.
 
         Raises:
-            CtrlRlError: The function is refused; the present one stays.
+            CtrlRlError: The value function is rejected; the current one stays.
         """
 
     def status(self) -> Status:
-        """Return the function that is served, and the share of odometry outside its domain."""
+        """Report the served function and the fraction of odometry outside its domain."""
         figures: dict[str, object] = {**self._counts, "file": self.settings["grid"], "digest": self._function.digest}
         if not self._counts["odometry"]:
             return warn("waiting for odometry", **figures)
@@ -107,7 +107,7 @@ class ValueServer(SuiteNode):
         return ok("serving", **figures)
 
     def on_parameter_changed(self, name: str) -> None:
-        """Load another file, or cut the slice elsewhere."""
+        """Load another file, or move the slice."""
         if name == "grid":
             self._load(self.settings["grid"])
         elif name == "slice":
@@ -123,7 +123,7 @@ class ValueServer(SuiteNode):
         self.get_logger().info(f"{Path(file).name} ({self._function.digest[:12]}): task '{self._function.task}'")
 
     def _prepared(self, file: str) -> tuple[ValueFunction, OdometryReader, Valued, OccupancyGrid]:
-        """Return all that serving a file takes."""
+        """Prepare everything needed to serve a file."""
         function = self.read(Path(file))
         if function.kind != self.KIND:
             raise ParameterError(f"parameter 'grid': {file} holds '{function.kind}', not '{self.KIND}'")
@@ -133,7 +133,7 @@ class ValueServer(SuiteNode):
         return function, reader, valued, slice_
 
     def _serve(self, function: ValueFunction, reader: OdometryReader, valued: Valued, slice_: OccupancyGrid) -> None:
-        """Replace the present function after all checks have passed."""
+        """Replace the current function, after all checks have passed."""
         self._function, self._reader, self._valued = function, reader, valued
         self._slice.publish(slice_)
         # A network has none: its values at millions of nodes take half a minute, and odometry must not wait for them.
@@ -141,7 +141,7 @@ class ValueServer(SuiteNode):
         self._look.reset()
 
     def _publish_sampled(self) -> None:
-        """Publish the grids once their values are there."""
+        """Publish the grids once their values are available."""
         if not self._sampling.finished.is_set():
             return
         self._look.cancel()
@@ -152,7 +152,7 @@ class ValueServer(SuiteNode):
         self.get_logger().info(f"~/grid: {' + '.join(str(grid.values.size) for grid in grids)} points")
 
     def _publish_grids(self, grids: tuple[ValueGrid, ...]) -> None:
-        """Publish a single grid on ~/grid, each of several on ~/grid_<its states>."""
+        """Publish a single grid on ~/grid, or each of several on ~/grid_<its states>."""
         stamp = self.get_clock().now().to_msg()
         names = [
             "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes))) for grid in grids

@@ -1,4 +1,4 @@
-"""What a robot senses: scans, odometry, poses and goals, read from messages and checked in one place; no ROS."""
+"""Sensor data: scans, odometry, poses and goals, read from messages and validated in one place; no ROS."""
 
 import lazy_loader as lazy
 

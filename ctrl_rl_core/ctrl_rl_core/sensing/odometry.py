@@ -1,8 +1,9 @@
-"""Odometry as numbers, and from them the state of a system model.
+"""Odometry as an array, and its conversion to the state of a system model.
 
-Odometry is REP-103: pose in its frame, twist in the body's. Here it is an array (13,), named by `ODOMETRY_NAMES`. A
-model's state is x, y, theta (counter-clockwise) with speeds along the body for what drives, and x, z, psi (about +y,
-from z towards x) with speeds along the frame's axes for the planar quadrotor. Messages may come from rclpy or a bag.
+Odometry follows REP-103: pose in its own frame, twist in the body frame. It is stored as an array (13,) with the
+components `ODOMETRY_NAMES`. The state of a ground robot is x, y, theta (counter-clockwise) with speeds in the body
+frame; that of the planar quadrotor is x, z, psi (about +y, from z towards x) with speeds along the axes of the odometry
+frame. Messages may come from rclpy or a bag.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ ODOMETRY_NAMES = (
     *("x", "y", "z", "q_x", "q_y", "q_z", "q_w"),
     *("v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
 )
-"""Position [m], quaternion, velocity [m/s] and turn rate [rad/s] in the body's frame."""
+"""Position [m], quaternion, velocity [m/s] and turn rates [rad/s] in the body frame."""
 V, _V_Z, _OMEGA_Y, OMEGA_Z = 7, 9, 11, 12
-"""Places of the forward speed, the speed upwards, and the turn rates about two axes."""
+"""Indices of the forward speed, the vertical speed, and the turn rates about y and z."""
 _FASTEST = 1e6
-"""No robot is faster [m/s, rad/s]."""
+"""Upper bound of any robot's speeds [m/s, rad/s]."""
 _COMPONENTS: Mapping[str, Callable[[Sequence[float], float, float], float]] = {
     "x": lambda it, _yaw, _pitch: it[0],
     "y": lambda it, _yaw, _pitch: it[1],
@@ -41,14 +42,14 @@ _COMPONENTS: Mapping[str, Callable[[Sequence[float], float, float], float]] = {
 
 
 class OdometryError(CtrlRlError):
-    """Odometry that cannot be used, or a state that it does not tell."""
+    """Odometry is unusable, or does not contain the requested state."""
 
 
 def read_odometry(message: Any) -> Array:
-    """Return a nav_msgs/Odometry as numbers (13,), see `ODOMETRY_NAMES`.
+    """Convert a nav_msgs/Odometry to an array (13,), see `ODOMETRY_NAMES`.
 
     Raises:
-        OdometryError: A number is not finite or far too large, or the quaternion is no rotation, such as all zeros.
+        OdometryError: A number is not finite or far too large, or the quaternion is not a rotation (such as all zeros).
     """
     pose, linear, angular = message.pose.pose, message.twist.twist.linear, message.twist.twist.angular
     out = np.empty(len(ODOMETRY_NAMES))
@@ -65,12 +66,12 @@ def read_odometry(message: Any) -> Array:
 
 
 def make_odometry(pose: Array, velocity: Array, plane: str = "xy") -> Array:
-    """Return odometry (13,) of a robot in a plane.
+    """Create odometry (13,) of a planar robot.
 
     Args:
-        pose: Both coordinates in the plane, and the angle (3,) [m, m, rad].
-        velocity: Along the body's axes of the plane, and the turn rate (3,) [m/s, m/s, rad/s].
-        plane: "xy" of what drives, or "xz" of what flies.
+        pose: Two coordinates in the plane and the angle (3,) [m, m, rad].
+        velocity: Velocity along the body's axes in the plane, and the turn rate (3,) [m/s, m/s, rad/s].
+        plane: "xy" for ground robots, "xz" for flying ones.
     """
     first, second, angle = pose.tolist()
     along, aside, turn = velocity.tolist()
@@ -84,10 +85,10 @@ class OdometryReader:
     """Reads the state of one kind of robot from odometry.
 
     Args:
-        names: The state's components, in order: those of a model in the x-y or the x-z plane.
+        names: Components of the state, in order, of a model in the x-y or the x-z plane.
 
     Raises:
-        OdometryError: Odometry does not tell one of them.
+        OdometryError: A component is not available from odometry.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -102,11 +103,11 @@ class OdometryReader:
 
     @property
     def uses_twist(self) -> bool:
-        """Whether a component comes from the twist."""
+        """Whether any component comes from the twist."""
         return self._uses_twist
 
     def __call__(self, odometry: Array) -> Array:
-        """Return the state (n,) in SI units of odometry (13,); angles in (-pi, pi]."""
+        """Convert odometry (13,) to the state (n,) in SI units; angles in (-pi, pi]."""
         numbers = odometry.tolist()
         yaw, pitch = yaw_of(*numbers[3:7]), pitch_of(*numbers[3:7])
         return np.array([component(numbers, yaw, pitch) for component in self._components])

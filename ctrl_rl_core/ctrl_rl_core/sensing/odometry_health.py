@@ -19,21 +19,21 @@ from ctrl_rl_core.sensing.pose import yaw_of
 Array = NDArray[np.float64]
 
 _WINDOW = 2.0
-"""Time over which pose and twist are compared [s]."""
+"""Window over which pose and twist are compared [s]."""
 _PAUSE = 0.5
-"""Time between two stamps over which a twist says nothing [s]."""
+"""Interval between stamps beyond which the twist says nothing about the motion [s]."""
 _WAY, _TURN = 0.1, 0.4
-"""Way [m] and turn [rad] of the pose from which on it must be explained: less may be noise."""
+"""Minimum distance [m] and rotation [rad] of the pose that the twist must explain; less may be noise."""
 _EXPLAINED = 0.5
-"""Part of the pose's motion that the twist must explain; wheels slip and drift by less."""
+"""Fraction of the pose's motion that the twist must explain; wheel slip and drift stay above it."""
 _FEWEST = 4
-"""Messages in the window from which on one jump of the pose, which does not count, can be told from motion."""
+"""Minimum number of messages in the window for telling a single jump of the pose from motion."""
 _JUMP = 0.3
-"""Way beyond that of the twist after which another origin of the odometry is surer than motion [m]."""
+"""Distance beyond the twist's prediction above which the odometry origin has changed [m]."""
 _EVERY = 0.2
-"""Time between two comparisons [s]."""
+"""Interval between comparisons [s]."""
 _Step = tuple[float, float, float, float]
-"""Way along x, y and z of the odometry's frame [m], and turn [rad]."""
+"""Displacement along x, y and z of the odometry frame [m], and rotation [rad]."""
 _KINDS = ((slice(3), _WAY, "m", "speeds"), (slice(3, 4), _TURN, "rad", "turn rates"))
 
 
@@ -55,7 +55,7 @@ class OdometryHealth:
         return self._faults[0] or self._faults[1]
 
     def update(self, stamp: int, odometry: Array) -> str:
-        """Take odometry (13,) with its stamp [ns], and return `fault`."""
+        """Process odometry (13,) with its stamp [ns], and return `fault`."""
         now, before, last = 1e-9 * stamp, self._stamp, self._numbers
         self._stamp, self._numbers = now, odometry.tolist()
         passed = now - before
@@ -93,12 +93,12 @@ class OdometryHealth:
 
 
 def contradiction(stamps: NDArray[np.int64], poses: Array, speeds: Array) -> str:
-    """Return what contradicts what in recorded odometry of a robot on wheels; empty where nothing does.
+    """Describe contradictions in recorded odometry of a wheeled robot; empty if there are none.
 
     Args:
         stamps: Stamps (n,) [ns].
         poses: Poses x, y, yaw (n, 3) [m, m, rad].
-        speeds: Speed and turn rate by the twist (n, 2) [m/s, rad/s].
+        speeds: Speed and turn rate from the twist (n, 2) [m/s, rad/s].
     """
     health = OdometryHealth()
     for stamp, pose, (v, omega) in zip(stamps.tolist(), poses, speeds.tolist(), strict=True):
@@ -109,13 +109,13 @@ def contradiction(stamps: NDArray[np.int64], poses: Array, speeds: Array) -> str
 
 
 def _moved(before: list[float], after: list[float]) -> _Step:
-    """Return how the pose moved."""
+    """Return the motion of the pose."""
     turn = math.remainder(yaw_of(*after[3:7]) - yaw_of(*before[3:7]), 2.0 * math.pi)
     return after[0] - before[0], after[1] - before[1], after[2] - before[2], turn
 
 
 def _told(before: list[float], after: list[float], passed: float) -> _Step:
-    """Return how the pose should have moved in some time [s] by the twists, along the axes before."""
+    """Return the motion predicted by the twists over some time [s], along the previous axes."""
     x, y, z, w = before[3:7]
     a, b, c = (0.5 * passed * (before[place] + after[place]) for place in (7, 8, 9))
     across = (2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a))

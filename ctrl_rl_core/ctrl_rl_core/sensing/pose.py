@@ -1,4 +1,4 @@
-"""Poses of messages: positions that are places, and quaternions that are rotations."""
+"""Validated poses from messages: finite positions, and quaternions that are rotations."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ctrl_rl_core.errors import CtrlRlError
 Array = NDArray[np.float64]
 
 _FARTHEST = 1e7
-"""No robot is farther from its origin [m]."""
+"""Upper bound of a robot's distance from its origin [m]."""
 _NORM_ERROR = 0.01
-"""Difference from 1 up to which the length of a quaternion is rounding; a zero one is a driver that fills none in."""
+"""Deviation of a quaternion's norm from 1 attributed to rounding; drivers without orientation send zeros."""
 
 _ROUNDING = 1e-9
 _UPRIGHT = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
@@ -25,14 +25,14 @@ _WITHOUT_HEADING = np.array((1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0))
 
 
 class PoseError(CtrlRlError):
-    """A pose that is none; the message is the reason."""
+    """A pose is invalid; the message gives the reason."""
 
 
 def read_pose(position: Any, orientation: Any) -> Array:
-    """Return position and unit quaternion x, y, z, w (7,) of a message's fields.
+    """Read position and unit quaternion x, y, z, w (7,) from a message's fields.
 
     Raises:
-        PoseError: A number is not finite or far too large, or the quaternion is no rotation, such as all zeros.
+        PoseError: A number is not finite or far too large, or the quaternion is not a rotation (such as all zeros).
     """
     numbers = (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w)
     out = np.array(numbers, np.float64)
@@ -48,10 +48,10 @@ def read_pose(position: Any, orientation: Any) -> Array:
 
 
 def read_goal(pose: Any) -> Array:
-    """Return position and quaternion (7,) of a goal's geometry_msgs/Pose; four zeros for one without a heading.
+    """Read position and quaternion (7,) of a goal from a geometry_msgs/Pose; a zero quaternion means no heading.
 
     Raises:
-        PoseError: It is no pose, see `read_pose`.
+        PoseError: The pose is invalid, see `read_pose`.
     """
     turn = pose.orientation
     if turn.x == turn.y == turn.z == turn.w == 0.0:
@@ -60,16 +60,16 @@ def read_goal(pose: Any) -> Array:
 
 
 def read_planar_pose(pose: Any) -> Array:
-    """Return x, y, yaw (3,) [m, m, rad] of a geometry_msgs/Pose.
+    """Read x, y, yaw (3,) [m, m, rad] from a geometry_msgs/Pose.
 
     Raises:
-        PoseError: It is none, see `read_pose`.
+        PoseError: The pose is invalid, see `read_pose`.
     """
     return planar(read_pose(pose.position, pose.orientation).tolist())
 
 
 def planar(pose: Sequence[float]) -> Array:
-    """Return x, y, yaw (3,) of position and quaternion (7,); yaw is NaN for a goal without a heading."""
+    """Convert position and quaternion (7,) to x, y, yaw (3,); yaw is NaN for a goal without a heading."""
     turn = pose[3:7]
     return np.array((pose[0], pose[1], yaw_of(*turn) if any(turn) else math.nan))
 
@@ -80,5 +80,5 @@ def yaw_of(x: float, y: float, z: float, w: float) -> float:
 
 
 def pitch_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the turn about +y of a quaternion, in (-pi, pi]."""
+    """Return the rotation of a quaternion about +y, in (-pi, pi]."""
     return math.atan2(2.0 * (w * y - z * x), 1.0 - 2.0 * (x * x + y * y))

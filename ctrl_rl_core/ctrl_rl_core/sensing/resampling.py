@@ -1,7 +1,7 @@
-"""Resampling of any laser scan to distances at fixed bearings.
+"""Resamples any laser scan to distances at fixed bearings.
 
-Real scans vary: 360 beams of an LDS-01 with zeros for misses, 268 to 274 NaN-filled ones of an LDS-02, 720 of a
-TurtleBot 4 with a third of them infinite. A policy sees none of that: it sees one distance for each bearing.
+Real scans vary: an LDS-01 has 360 beams with zeros for misses, an LDS-02 268 to 274 NaN-filled ones, a TurtleBot 4 720
+of which a third are infinite. A policy instead receives one distance per bearing.
 """
 
 from __future__ import annotations
@@ -20,31 +20,33 @@ from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, measured, nearest
 Array = NDArray[np.float64]
 
 OPENING = 1e-3
-"""Scans whose openings differ by less are taken for alike [rad]: no lidar turns as evenly as that."""
+"""Difference in beam spacing below which two scans count as equal [rad], since motor speeds vary more than this."""
 EDGE = 1e-3
-"""Beams on a sector's edge belong to it on both sides of the robot, whatever rounding says [rad]."""
+"""Tolerance for beams on a sector's edge [rad], which belong to the sector on both sides of the robot."""
 _TURN = 2.0 * np.pi
 _KNOWN = 512
-"""Geometries that are kept in mind: an LDS-01 has one, an LDS-02, whose motor's speed varies, some two hundred."""
+"""Number of cached geometries: an LDS-01 has one; an LDS-02, with its varying motor speed, some two hundred."""
 _KNOWN_BYTES = 16_000_000
-"""Memory that they may take; the one used longest ago goes first."""
+"""Memory limit of the cached geometries [bytes]; the least recently used one is dropped first."""
 _RING = 1.5
-"""Sectors farther apart than this many of the usual gap are no neighbours."""
+"""Sectors farther apart than this multiple of the usual gap are not neighbours."""
 # Arrays, as NumPy takes a Python number or its own scalars in twice the time.
 _ONE = np.array(1)
 _HALVES = np.array((0.5, 0.5))
 
 _Key = tuple[int, float, int]
-"""Number of beams, bearing of the first [rad], opening in units of `OPENING`."""
+"""Number of beams, bearing of the first [rad], beam spacing in units of `OPENING`."""
 
 
 class _Beams(NamedTuple):
-    """Places of the sectors' beams in `_measured` for one geometry.
+    """Indices of the sectors' beams in `_measured` for one geometry.
 
     Attributes:
-        places: (sectors, most beams in one + 1); each row is filled up with the NaN at the end, at least once.
-        begins: Twice where each row begins, less one, and itself (2, sectors). (count + begins) / 2 are the two middle
-            ones of a row's `count` smallest; of none, the first is the NaN that ends the row before.
+        places: Beam indices per sector (sectors, maximum beams per sector + 1); each row is padded with the index of
+            the NaN at the end, at least once.
+        begins: Start offset of each row, less one, and again itself (2, sectors). (count + begins) / 2 are the two
+            middle elements of a row's `count` smallest; if there are none, the first is the NaN that ends the previous
+            row.
     """
 
     places: NDArray[np.intp]
@@ -52,7 +54,7 @@ class _Beams(NamedTuple):
 
 
 class _Geometries:
-    """The geometries that were used last, bounded in number and in memory."""
+    """Cache of the most recently used geometries, bounded in number and memory."""
 
     def __init__(self) -> None:
         self._found: OrderedDict[_Key, _Beams] = OrderedDict()
@@ -62,14 +64,14 @@ class _Geometries:
         return len(self._found)
 
     def get(self, key: _Key) -> _Beams | None:
-        """Return what is known of a geometry, None for nothing."""
+        """Return the cached data of a geometry, or None."""
         found = self._found.get(key)
         if found is not None:
             self._found.move_to_end(key)
         return found
 
     def put(self, key: _Key, beams: _Beams) -> None:
-        """Add a geometry; those used longest ago make room."""
+        """Add a geometry, evicting the least recently used ones."""
         self._found[key] = beams
         self.bytes += beams.places.nbytes
         while len(self._found) > _KNOWN or (self.bytes > _KNOWN_BYTES and len(self._found) > 1):
@@ -78,13 +80,13 @@ class _Geometries:
 
 @dataclass(frozen=True)
 class Sectors:
-    """The fixed bearings that a policy sees.
+    """Fixed bearings at which a policy observes distances.
 
     Attributes:
-        bearings: Middle of each sector, in order around the robot [rad].
-        half_width: Half the opening of a sector [rad]; 0 for the nearest beam alone.
-        far: Distance that stands for "nothing there", and cap of all others [m].
-        reduce: Distance that stands for the beams of a sector: their median, or the least of them.
+        bearings: Centre of each sector, in order around the robot [rad].
+        half_width: Half the width of a sector [rad]; 0 for the nearest beam only.
+        far: Distance that represents "no echo", and upper bound of all others [m].
+        reduce: Reduction over a sector's beams: median or minimum.
     """
 
     bearings: tuple[float, ...]
@@ -93,18 +95,19 @@ class Sectors:
     reduce: Literal["median", "least"] = "median"
 
     def distances(self, ranges: NDArray[np.float32], scan: ScanGeometry) -> Array:
-        """Return one distance for each sector (sectors,) [m].
+        """Return one distance per sector (sectors,) [m].
 
-        `measured` says what a beam means. Beams without a measurement do not count. Where no beam lies in a sector, the
-        nearest one counts, if the lidar looks there at all. A sector without any takes the mean of its two neighbours,
-        the first and the last of a fan take their only one, and `far` stands where these have none.
+        `measured` defines the meaning of each beam; beams without a measurement are ignored. If no beam lies in a
+        sector, the nearest one is used, provided that the lidar covers that direction. A sector without any beam takes
+        the mean of its two neighbours, and the first and last sector of a fan take their only neighbour; `far` is used
+        if these are missing too.
 
         Args:
-            ranges: Distances of the scan's beams (scan.beams,) [m].
-            scan: The scan's geometry.
+            ranges: Ranges of the scan's beams (scan.beams,) [m].
+            scan: Geometry of the scan.
 
         Raises:
-            ScanError: The scan holds no measurement, or its geometry is none.
+            ScanError: The scan has no measurement, or its geometry is invalid.
         """
         scan.check()
         if len(ranges) != scan.beams:
@@ -122,7 +125,7 @@ class Sectors:
         return self._filled(_HALVES.dot(np.minimum(middle, self._far)))
 
     def unseen(self, scan: ScanGeometry) -> Array:
-        """Return the bearings in which the lidar does not look (n,) [rad]."""
+        """Return the bearings that the lidar does not cover (n,) [rad]."""
         key = (scan.beams, scan.angle_min, round(scan.angle_increment * scan.beams / OPENING))
         found = self._unseen.get(key)
         if found is None:
@@ -151,7 +154,7 @@ class Sectors:
 
     @cached_property
     def _apart(self) -> NDArray[np.bool_]:
-        """Whether a wide gap, into which the fan opens, lies between each sector and the one after it (sectors,)."""
+        """Whether each sector is separated from the next by the open side of the fan (sectors,)."""
         gaps = np.mod(np.roll(self._middles, -1) - self._middles, _TURN)
         gaps = np.minimum(gaps, _TURN - gaps)
         return np.asarray(gaps > _RING * np.median(gaps))
@@ -170,8 +173,8 @@ class Sectors:
     def _places(self, scan: ScanGeometry, beams: int, angle_min: float, opening: int) -> NDArray[np.intp]:
         """Return `_Beams.places` for an opening in units of `OPENING`.
 
-        Beams come at equal angles, so that those of a sector follow each other, at most once over the end of the scan.
-        What a scan of more than a turn sees twice is looked at once.
+        Beams are evenly spaced, so those of a sector are consecutive and wrap around the end of the scan at most once.
+        Directions covered twice by a scan of more than one turn are used once.
         """
         increment = opening * OPENING / beams
         half, turn = self.half_width + EDGE, _TURN / abs(increment)
@@ -194,10 +197,10 @@ class Sectors:
         return places
 
     def _filled(self, distances: Array) -> Array:
-        """Return the distances with those of empty sectors, which are NaN.
+        """Fill in the distances of empty sectors, which are NaN.
 
         Raises:
-            ScanError: All are empty.
+            ScanError: All sectors are empty.
         """
         if not math.isnan(distances.dot(distances)):
             return distances

@@ -1,6 +1,6 @@
-"""Laser scans: the meaning of each range, checks of the geometry, and the directions that have an echo.
+"""Laser scans: meaning of the ranges, checks of the geometry, and directions with echoes.
 
-Live nodes, the pre-flight check and all readers of bags share this definition. REP-117: a range within
+Live nodes, the pre-flight check and all bag readers share this definition. By REP-117, a range within
 range_min .. range_max is an echo, +inf means no echo, -inf too close, and NaN no measurement; `measured` covers the
 other values. The table for users is in docs/sensing.md.
 """
@@ -19,24 +19,24 @@ from ctrl_rl_core.errors import CtrlRlError
 Array = NDArray[np.float64]
 
 MOST_BEAMS = 20_000
-"""No lidar of one plane has more; a scan of a million would stop the node that looks at it for seconds."""
+"""Maximum number of beams of a planar lidar; a scan of a million would block its node for seconds."""
 DIRECTIONS = 360
-"""Directions around the robot in which a scan is asked for echoes."""
+"""Number of directions around the robot that are checked for echoes."""
 _TURN = 2.0 * math.pi
 _BEARINGS = np.arange(DIRECTIONS, dtype=np.float64) * (_TURN / DIRECTIONS)
 _WIDEST = 1.1 * _TURN
-"""Largest angle that the beams of one turn cover [rad]; angles in degrees make it 57 times too large."""
+"""Maximum angle covered by one turn of beams [rad]; angles in degrees would exceed it 57-fold."""
 _FEW, _SOME = 2, 0.02
-"""Beams by which a scan's count may differ from that of its angles, and that share of them: motors' speeds vary."""
+"""Allowed difference between a scan's beam count and its angles, absolute and relative: motor speeds vary."""
 _SMALLEST = 1e-6
-"""Ranges up to this are zero, whatever range_min claims [m]."""
+"""Ranges up to this count as zero, regardless of range_min [m]."""
 # Arrays, as NumPy takes a Python number or its own scalars in twice the time.
 _MISS, _TOO_CLOSE = np.array(0.0, np.float32), np.array(-np.inf, np.float32)
 _NOTHING, _UNKNOWN = np.array(np.inf), np.array(np.nan)
 
 
 class ScanError(CtrlRlError):
-    """An unusable scan; the message is the reason."""
+    """A scan is unusable; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class ScanGeometry:
     Attributes:
         beams: Number of ranges.
         angle_min: Bearing of the first beam in the robot's frame, counter-clockwise from ahead [rad].
-        angle_increment: Angle from beam to beam [rad].
-        range_min: Least distance measured [m].
-        range_max: Largest distance measured [m].
-        angle_max: Bearing of the last beam as a message claims it [rad]; None where nothing was claimed.
+        angle_increment: Angle between beams [rad].
+        range_min: Minimum measured distance [m].
+        range_max: Maximum measured distance [m].
+        angle_max: Bearing of the last beam as stated by the message [rad]; None if not stated.
     """
 
     beams: int
@@ -61,7 +61,7 @@ class ScanGeometry:
 
     @classmethod
     def of(cls, message: Any) -> ScanGeometry:
-        """Return the geometry of a sensor_msgs/LaserScan, from rclpy or a bag, unchecked."""
+        """Return the geometry of a sensor_msgs/LaserScan, from rclpy or a bag, without checking it."""
         return cls(
             len(message.ranges),
             float(message.angle_min),
@@ -72,18 +72,18 @@ class ScanGeometry:
         )
 
     def turned(self, yaw: float) -> ScanGeometry:
-        """Return the geometry in a frame in which this one's zero bearing lies at `yaw` [rad]."""
+        """Return the geometry in a frame where this geometry's zero bearing is at `yaw` [rad]."""
         if yaw == 0.0:
             return self
         claimed = None if self.angle_max is None else self.angle_max + yaw
         return replace(self, angle_min=self.angle_min + yaw, angle_max=claimed)
 
     def check(self) -> None:
-        """Refuse a geometry that no lidar can have.
+        """Raise if the geometry is impossible for a lidar.
 
         Raises:
-            ScanError: No beams, too many, or numbers that are not finite or contradict each other: the echoes would
-                be taken for ones in other directions, as in a mirror.
+            ScanError: There are no or too many beams, or numbers are not finite or contradict each other, which would
+                place the echoes in wrong, e.g. mirrored, directions.
         """
         if not 0 < self.beams <= MOST_BEAMS:
             raise ScanError(f"scan with {self.beams} ranges: must be 1 to {MOST_BEAMS}")
@@ -120,7 +120,7 @@ class Scan(NamedTuple):
 
 
 def read_scan(message: Any, yaw: float = 0.0) -> Scan:
-    """Return ranges and geometry of a sensor_msgs/LaserScan, from rclpy or a bag; `ScanGeometry.check` judges it.
+    """Return ranges and geometry of a sensor_msgs/LaserScan, unchecked; see `ScanGeometry.check`.
 
     Args:
         message: Scan from rclpy or a bag.
@@ -132,16 +132,16 @@ def read_scan(message: Any, yaw: float = 0.0) -> Scan:
 def measured(
     ranges: NDArray[np.float32], scan: ScanGeometry, out: Array | None = None, farthest: float = math.inf
 ) -> Array:
-    """Return what each beam means (beams,) [m]: a distance, +inf for nothing there, NaN for no measurement.
+    """Return the meaning of each beam (beams,) [m]: a distance, +inf for no echo, NaN for no measurement.
 
-    +inf, 0 (an LDS-01's miss) and beyond range_max mean nothing there; -inf something too close, at range_min; NaN,
-    below range_min and negative are no measurement.
+    +inf, 0 (a miss of an LDS-01) and values above range_max mean no echo; -inf means an object closer than range_min,
+    set to range_min; NaN, values below range_min and negative values are no measurement.
 
     Args:
         ranges: Ranges of the beams (beams,) [m].
         scan: Bearings and limits of the beams.
-        out: Array for the result (beams,).
-        farthest: Distance from which on the caller makes no difference between an echo and nothing there [m].
+        out: Output array (beams,).
+        farthest: Distance beyond which the caller does not distinguish an echo from none [m].
     """
     if out is None:
         out = np.empty(len(ranges))
@@ -155,13 +155,13 @@ def measured(
 
 
 def echoes(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, forward: float = 0.0) -> Array:
-    """Return the places of the echoes in the robot's frame (n, 2) [m].
+    """Return the positions of the echoes in the robot's frame (n, 2) [m].
 
     Args:
         ranges: Ranges of the beams (beams,) [m].
         scan: Bearings and limits of the beams in the robot's frame.
-        reach: Distance from the lidar beyond which echoes are left out [m].
-        forward: Position of the lidar ahead of the robot's middle [m].
+        reach: Distance from the lidar beyond which echoes are omitted [m].
+        forward: Position of the lidar ahead of the robot's centre [m].
     """
     return _points(measured(ranges, scan), scan, reach, forward)
 
@@ -175,13 +175,13 @@ def _points(distances: Array, scan: ScanGeometry, reach: float, forward: float) 
 
 
 class ScanView(NamedTuple):
-    """Echoes of one scan, as the checks of a drive need them.
+    """Echoes of one scan, as needed by safety checks.
 
     Attributes:
-        share: Part of the beams that have an echo, 0 to 1.
-        points: Places of the echoes within reach in the robot's frame (n, 2) [m].
+        share: Fraction of the beams with an echo, 0 to 1.
+        points: Positions of the echoes within reach in the robot's frame (n, 2) [m].
         seen: Whether the beam nearest to each direction has an echo, counter-clockwise from ahead (DIRECTIONS,).
-        field: Whether there is a beam in each direction at all (DIRECTIONS,).
+        field: Whether each direction is covered by a beam (DIRECTIONS,).
     """
 
     share: float
@@ -196,8 +196,8 @@ def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, for
     Args:
         ranges: Ranges (scan.beams,) [m].
         scan: Bearings and limits of the beams.
-        reach: Distance from the lidar beyond which echoes are left out [m].
-        forward: Position of the lidar ahead of the robot's middle [m].
+        reach: Distance from the lidar beyond which echoes are omitted [m].
+        forward: Position of the lidar ahead of the robot's centre [m].
 
     Raises:
         ScanError: The geometry is impossible, or the number of ranges does not match it.
@@ -213,7 +213,7 @@ def view_scan(ranges: NDArray[np.float32], scan: ScanGeometry, reach: float, for
 
 
 def nearest_beams(scan: ScanGeometry, bearings: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """Return whether each of some bearings (n,) [rad] has a beam (n,), and the one that is nearest to it (n,)."""
+    """Return whether each bearing (n,) [rad] is covered by a beam (n,), and the nearest beam's index (n,)."""
     step = abs(scan.angle_increment)
     first = scan.angle_min if scan.angle_increment > 0.0 else scan.angle_min + scan.angle_increment * (scan.beams - 1)
     half = max(0.5 * step, math.pi / DIRECTIONS)

@@ -1,7 +1,6 @@
-"""Detects scans of a dead, covered, frozen or duplicated lidar, without ROS.
+"""Detects scans of a dead, covered, frozen or duplicated lidar; no ROS.
 
-Such a lidar still sends scans: zeros, infinities, the scan of a minute ago, or another robot's. A robot must not drive
-on them.
+Such a lidar still sends scans (zeros, infinities, an old scan, or another robot's), on which a robot must not drive.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from numpy.typing import NDArray
 from ctrl_rl_core.sensing.scan import DIRECTIONS, ScanGeometry, ScanView
 
 MIXED = 2.0
-"""Time that a robot stands after scans of two lidars came in turn [s]; a lidar may be exchanged once."""
+"""Time for which the robot stops after scans of two lidars were interleaved [s]; a lidar may be replaced once."""
 _STILL = (0.02, 0.05)
-"""Speed [m/s] and turn rate [rad/s] by odometry up to which a robot counts as standing."""
+"""Odometry speed [m/s] and turn rate [rad/s] below which a robot counts as stationary."""
 _SPECKLES = 0.05
-"""Part of a gap's directions that may have an echo: a covered lidar sees specks of dust."""
+"""Fraction of a gap's directions that may have an echo, because a covered lidar sees specks of dust."""
 _AHEAD = math.radians(100.0)
-"""A gap whose middle is farther than this from the direction of travel does not matter [rad]."""
+"""Angle between gap centre and direction of travel above which the gap does not matter [rad]."""
 
 
 class LidarIdentity(NamedTuple):
-    """Properties by which scans of two lidars differ."""
+    """Properties that distinguish the scans of two lidars."""
 
     frame: str
     range_min: float
@@ -35,18 +34,18 @@ class LidarIdentity(NamedTuple):
     counter_clockwise: bool
 
     def matches(self, other: LidarIdentity) -> bool:
-        """Return whether two scans may come from one lidar: its count of beams and its first bearing may vary a bit."""
+        """Return whether two scans may come from one lidar, whose beam count and first bearing may vary slightly."""
         return self[:3] == other[:3] and self[4] == other[4] and abs(self.angle_min - other.angle_min) <= 0.2
 
 
 @dataclass
 class ScanHealth:
-    """Checks scan after scan.
+    """Checks consecutive scans.
 
     Attributes:
-        min_echo_share: Least part of the beams that must have an echo; 0 for none.
-        largest_gap: Widest angle without echoes that may lie ahead [rad]; 2 pi and more for any.
-        frozen_scans: Repetitions of the same ranges, while the robot moves, that mean a frozen lidar; 0 for never.
+        min_echo_share: Minimum fraction of beams with an echo; 0 to disable.
+        largest_gap: Maximum angle without echoes ahead [rad]; 2 pi or more to disable.
+        frozen_scans: Number of identical scans in motion that indicates a frozen lidar; 0 to disable.
     """
 
     min_echo_share: float
@@ -68,14 +67,14 @@ class ScanHealth:
         identity: LidarIdentity,
         motion: tuple[float, float],
     ) -> str:
-        """Check a scan and return why the robot must stop, or "" if the scan is usable.
+        """Check a scan and return the reason why the robot must stop, or "" if the scan is usable.
 
         Args:
             now: Steady time [s].
             view: Echoes of the scan.
-            content: Ranges as they were received, for comparison with the last ones.
+            content: Ranges as received, for comparison with the previous ones.
             stamp: Time stamp of the scan [ns].
-            identity: Properties of the lidar that sent it.
+            identity: Properties of the lidar that sent the scan.
             motion: Speed [m/s] and turn rate [rad/s] by odometry.
         """
         frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, identity)
@@ -89,7 +88,7 @@ class ScanHealth:
         return mixed
 
     def blind(self, view: ScanView, v: float) -> str:
-        """Return why the scan does not cover the direction of a speed v [m/s], or "" if it does."""
+        """Return why the scan does not cover the direction of travel at speed v [m/s], or "" if it does."""
         if v == 0.0 or self.largest_gap >= 2.0 * math.pi:
             return ""
         seen = view.seen if v > 0.0 else np.roll(view.seen, DIRECTIONS // 2)
@@ -106,7 +105,7 @@ class ScanHealth:
         return ""
 
     def _frozen(self, content: bytes, stamp: int, motion: tuple[float, float]) -> bool:
-        """Count repetitions while the robot moves; one that stands in a simulation without noise sees the same scan."""
+        """Count repetitions in motion only: a stationary robot in a noise-free simulation sees the same scan."""
         if content != self._last:
             self._repeated = 0
         elif stamp != self._stamp and (abs(motion[0]) > _STILL[0] or abs(motion[1]) > _STILL[1]):
@@ -129,7 +128,7 @@ _NARROW = np.r_[-10:11]
 
 
 def _emptiest(seen: NDArray[np.bool_], width: int) -> int:
-    """Return the least count of echoes in `width` directions side by side whose middle lies ahead.
+    """Return the minimum number of echoes in `width` consecutive directions centred ahead.
 
     Args:
         seen: Directions with an echo, counter-clockwise from ahead (DIRECTIONS,).

@@ -1,4 +1,4 @@
-"""What a robot senses at the time of a scan: arrays alone, from a live node, a simulator or a bag."""
+"""Sensor readings at the time of a scan, as arrays, from a live node, a simulator or a bag."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Array = NDArray[np.float64]
 
 
 class Sensors(NamedTuple):
-    """What a robot senses at the time of a scan.
+    """Sensor readings at the time of a scan.
 
     Attributes:
         ranges: Ranges of the scan's beams (beams,) [m].
         scan: Bearings and limits of the beams in the robot's frame.
-        odometry: The last odometry (13,), see `ODOMETRY_NAMES`.
-        pose: Pose x, y, theta (3,) [m, m, rad]; None where it is unknown.
-        goal: Goal x, y, theta in the frame of the pose (3,) [m, m, rad]; None where there is none.
-        command: Last command that was sent (2,).
-        time: Time of the odometry, on the clock of the robot [s].
-        age: Age of the scan at that time; 0 for one that was taken just then [s].
+        odometry: Latest odometry (13,), see `ODOMETRY_NAMES`.
+        pose: Pose x, y, theta (3,) [m, m, rad]; None if unknown.
+        goal: Goal x, y, theta in the frame of the pose (3,) [m, m, rad]; None without a goal.
+        command: Last command sent (2,).
+        time: Time of the odometry, on the robot's clock [s].
+        age: Age of the scan at that time [s]; 0 for a scan taken at that time.
     """
 
     ranges: NDArray[np.float32]
@@ -38,5 +38,5 @@ class Sensors(NamedTuple):
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Speed ahead [m/s] and turn rate [rad/s] by odometry, of a robot on wheels."""
+        """Forward speed [m/s] and turn rate [rad/s] from odometry of a wheeled robot."""
         return float(self.odometry[V]), float(self.odometry[OMEGA_Z])

@@ -1,13 +1,11 @@
 """The equations of the six robot system models of thesis Table 3.1, each written once.
 
 A model is a function `equations(math, p)` that returns `f(x, u, d)`: the state derivatives as a tuple. `math` is any
-namespace with cos, sin and tan (the standard library's for Numba, NumPy, CasADi), `p` holds the parameters, and `x`,
-`u`, `d` are anything that can be indexed by component. So the Hamilton-Jacobi solver, the MPC and the tests run the
-same lines.
+namespace with cos, sin and tan (`math` for Numba, NumPy, CasADi), `p` holds the parameters, and `x`, `u`, `d` can be
+indexed by component. The Hamilton-Jacobi solver, the MPC and the tests therefore share the same code.
 
-All six are affine in the control and in the disturbance, so a Hamiltonian over a box of either is extremal at a vertex
-of the box. The disturbance is additive: `d[i]` enters the derivative of state `i` (the second player of thesis Eqs.
-2.18-2.20).
+All six are affine in control and disturbance, so the Hamiltonian over a box of either is extremal at a vertex. The
+disturbance is additive: `d[i]` enters the derivative of state `i` (the second player of thesis Eqs. 2.18-2.20).
 
 Units are SI, frames follow REP-103 except the planar quadrotor, which keeps the thesis's signs.
 """
@@ -23,7 +21,7 @@ Equations = Callable[[Any, Mapping[str, float]], Dynamics]
 
 @dataclass(frozen=True)
 class Quantity:
-    """One component of a state, control or disturbance, in [lower, upper] `unit`; a periodic one wraps round."""
+    """One component of a state, control or disturbance, in [lower, upper] `unit`; wraps around if periodic."""
 
     name: str
     unit: str
@@ -34,7 +32,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of a model with its default; `may_be_zero` tells a coefficient to switch off from a divisor."""
+    """A constant of a model with its default; `may_be_zero` marks coefficients that 0 switches off."""
 
     name: str
     unit: str
@@ -87,7 +85,7 @@ def extended_dubins_car(math: Any, p: Mapping[str, float]) -> Dynamics:
 def bicycle(math: Any, p: Mapping[str, float]) -> Dynamics:
     """4D kinematic bicycle (x, y, theta, delta), controls (v, omega_delta).
 
-    (x, y) is the middle of the rear axle, delta the angle of the front wheel.
+    (x, y) is the centre of the rear axle, delta the steering angle of the front wheel.
     """
     cos, sin, tan = math.cos, math.sin, math.tan
     wheelbase = p["wheelbase"]
@@ -125,8 +123,8 @@ def planar_quadrotor(math: Any, p: Mapping[str, float]) -> Dynamics:
 def quadrotor_rotation(math: Any, p: Mapping[str, float]) -> Dynamics:
     """6D rigid-body rotation (phi, theta, psi, p, q, r), controls the body torques (tau_x, tau_y, tau_z).
 
-    Roll, pitch and yaw (Z-Y-X Euler angles) and the body rates; Euler's equations with a diagonal inertia. Singular at
-    theta = +-pi/2.
+    State: roll, pitch and yaw (Z-Y-X Euler angles) and body rates; Euler's equations with a diagonal inertia. Singular
+    at theta = +-pi/2.
     """
     cos, sin = math.cos, math.sin
     I_xx, I_yy, I_zz = p["I_xx"], p["I_yy"], p["I_zz"]
@@ -149,8 +147,8 @@ def quadrotor_rotation(math: Any, p: Mapping[str, float]) -> Dynamics:
 def point_mass(math: Any, p: Mapping[str, float]) -> Dynamics:
     """3D point mass (x, y, z), controls the velocity (v_x, v_y, v_z).
 
-    Table 3.1 counts states ("3D" beside "6D planar"), so velocity is the control and not a state: what an autopilot's
-    velocity loop accepts. The disturbance is wind that carries the mass along.
+    Table 3.1 counts states ("3D" versus "6D planar"), so velocity is the control rather than a state, as in an
+    autopilot's velocity loop. The disturbance is wind that carries the mass along.
     """
     del math, p
 

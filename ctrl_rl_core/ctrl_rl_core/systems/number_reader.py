@@ -1,4 +1,4 @@
-"""Named numbers, such as the state of a model, out of what any environment observes or tells."""
+"""Reads named numbers, such as a model's state, from an environment's observation or `info`."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.file_checks import one_line
 
 Source = str | Callable[[Any], ArrayLike] | Callable[[Any, Mapping[str, Any]], ArrayLike]
-"""Key of `info`; or a function of the observation; or a function of the observation and `info`."""
+"""Key of `info`; a function of the observation; or a function of the observation and `info`."""
 
 
 class NumberReader:
-    """Reads vectors of named, finite numbers from the observation and the `info` of an environment.
+    """Reads vectors of named, finite numbers from an environment's observation and `info`.
 
     Args:
         source: Key of `info`, function of the observation, or function of the observation and `info`.
-        names: Names of the numbers, in order; with their units where messages should show them.
-        what: Noun that messages call the vector by, such as "state".
-        error: Error to raise.
-        rows: Number of environments of a vectorised one; None for a single environment.
+        names: Names of the numbers, in order, with units if messages should show them.
+        what: Noun for the vector in messages, such as "state".
+        error: Error class to raise.
+        rows: Number of environments if vectorised; None for a single environment.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class NumberReader:
         """Return the numbers (n,), or (rows, n).
 
         Raises:
-            CtrlRlError: They are missing, too few, too many, or not finite; of the type `error`.
+            CtrlRlError: The numbers are missing, too few, too many, or not finite; raised as `error`.
         """
         try:
             found = np.asarray(self._read(observation, info), dtype=np.float64)
@@ -55,7 +55,7 @@ class NumberReader:
 
 
 def reader_of(source: Source) -> Callable[[Any, Mapping[str, Any]], ArrayLike]:
-    """Return a function of observation and info that reads a source."""
+    """Return a reader function of observation and info for a source."""
     if isinstance(source, str):
         key = source
         return lambda _, info: info[key]
@@ -66,7 +66,7 @@ def reader_of(source: Source) -> Callable[[Any, Mapping[str, Any]], ArrayLike]:
 
 
 def _takes_two(function: Callable[..., Any]) -> bool:
-    """Return whether a function needs two positional arguments."""
+    """Return whether a function requires two positional arguments."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # a built-in function that does not say

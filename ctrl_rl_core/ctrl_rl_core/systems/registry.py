@@ -1,10 +1,11 @@
-"""System models by name: the suite's own, those that a program registered, and those of installed packages.
+"""System models by name: the suite's own, those registered by a program, and those of installed packages.
 
-A package offers a `SystemModel` by an entry point in its setup.py or pyproject.toml:
+A package offers a `SystemModel` with an entry point in its setup.py or pyproject.toml:
 
     entry_points={"ctrl_rl.systems": ["tricycle = my_package.tricycle:TRICYCLE"]}
 
-A task file then names it, `system: {model: tricycle}`, and solver, MPC, simulator and training take it from there.
+A task file then refers to it by `system: {model: tricycle}`, which makes it available to solver, MPC, simulator and
+training.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ GROUP = "ctrl_rl.systems"
 
 
 class SystemModelError(CtrlRlError):
-    """An unknown system, parameter or component, a bad number, or arrays of the wrong shape."""
+    """An unknown system, parameter or component, an invalid number, or arrays of the wrong shape."""
 
 
 def find_model(name: str) -> SystemModel:
     """Return a system model by its name.
 
     Raises:
-        SystemModelError: There is none, or the package that offers it cannot be loaded.
+        SystemModelError: The model is unknown, or its package cannot be loaded.
     """
     if name not in SYSTEM_MODELS:
         offered = find_plugins(GROUP)
@@ -38,7 +39,7 @@ def find_model(name: str) -> SystemModel:
 
 
 class StateUnits(Mapping[str, str]):
-    """Units of the states of all models that are loaded, and of the coordinates along a corridor's path."""
+    """Units of the states of all loaded models, and of path coordinates along a corridor."""
 
     _PATH: Mapping[str, str] = {"s": "m", "lateral": "m", "heading": "rad"}
 
@@ -50,7 +51,7 @@ class StateUnits(Mapping[str, str]):
         return self._units()[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Return the names."""
+        """Iterate over the names."""
         return iter(self._units())
 
     def __len__(self) -> int:
@@ -59,7 +60,7 @@ class StateUnits(Mapping[str, str]):
 
 
 class ControlUnits(StateUnits):
-    """Units of the controls of all models that are loaded."""
+    """Units of the controls of all loaded models."""
 
     def _units(self) -> dict[str, str]:
         return {control.name: control.unit for model in SYSTEM_MODELS.values() for control in model.controls}

@@ -27,7 +27,7 @@ _DERIVATIVE_UNITS = {"m": "m/s", "rad": "rad/s", "m/s": "m/s^2", "rad/s": "rad/s
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """A system x' = f(x, u, d) with n states, m controls and n additive disturbances. Made by `make_system`."""
+    """A system x' = f(x, u, d) with n states, m controls and n additive disturbances. Created by `make_system`."""
 
     name: str
     states: tuple[Quantity, ...]
@@ -48,7 +48,7 @@ class System:
 
     @cached_property
     def control_bounds(self) -> NDArray[np.float64]:
-        """Lower and upper bounds of u, shape (2, m); equal ones hold a control at that number."""
+        """Lower and upper bounds of u, shape (2, m); equal bounds fix a control."""
         return _bounds_array(self.controls)
 
     @cached_property
@@ -58,9 +58,9 @@ class System:
 
     @cached_property
     def nominal_disturbance(self) -> NDArray[np.float64]:
-        """Disturbance (n,) that acts where none is given: zero, or the middle of bounds that exclude zero.
+        """Default disturbance (n,): zero, or the midpoint of bounds that exclude zero.
 
-        A steady current has equal bounds, and is its own middle.
+        A steady current has equal bounds, and is its own midpoint.
         """
         lower, upper = self.disturbance_bounds
         nominal = np.where((lower <= 0.0) & (upper >= 0.0), 0.0, 0.5 * (lower + upper))
@@ -68,31 +68,31 @@ class System:
         return nominal
 
     def control_samples(self, counts: int | Sequence[int] = 2) -> NDArray[np.float64]:
-        """Evenly spaced controls that include the bounds, shape (k, m); two per control are the vertices of the box.
+        """Evenly spaced controls that include the bounds, shape (k, m); two per control give the vertices of the box.
 
-        A control that is held (equal bounds) counts once, so the Dubins car at constant speed has two vertices. A
-        system without controls has one sample, which is empty.
+        A fixed control (equal bounds) counts once, so the Dubins car at constant speed has two vertices. A system
+        without controls has one empty sample.
         """
         return _box_samples(self.controls, counts)
 
     def disturbance_samples(self, counts: int | Sequence[int] = 2) -> NDArray[np.float64]:
-        """As `control_samples`, for the disturbance, shape (k, n); one row of zeros where there is none."""
+        """As `control_samples`, for the disturbance, shape (k, n); one row of zeros without disturbance."""
         return _box_samples(self.disturbances, counts)
 
     def dynamics(self, x: Any, u: Any, d: Any = None, *, math: Any = np) -> Any:
         """State derivative f(x, u, d) in units per second.
 
         Args:
-            x: States, shape (..., n); for CasADi (n, N), one state a column.
+            x: States, shape (..., n); for CasADi (n, N), one state per column.
             u: Controls, shape (..., m) or (m, N); broadcast against x.
             d: Disturbances shaped like x, or None for `nominal_disturbance`.
-            math: The namespace of cos, sin, tan: numpy, or the casadi module.
+            math: Namespace of cos, sin, tan: the numpy or casadi module.
 
         Returns:
             An array (..., n), or for CasADi an (n, N) expression.
 
         Raises:
-            SystemModelError: A number of components that is not the system's.
+            SystemModelError: The number of components does not match the system.
         """
         n, m = len(self.states), len(self.controls)
         if d is None:
@@ -108,7 +108,7 @@ class System:
     def step(self, x: Any, u: Any, d: Any = None, *, dt: Any, math: Any = np) -> Any:
         """State after `dt` seconds of constant u and d: one step of the classical Runge-Kutta method (fourth order).
 
-        Shapes and errors as for `dynamics`. Periodic states are not wrapped (an optimiser wants them smooth).
+        Shapes and errors as for `dynamics`. Periodic states are not wrapped, which keeps them smooth for an optimiser.
         """
         if math is np:
             x = np.asarray(x, dtype=np.float64)
@@ -119,7 +119,7 @@ class System:
         return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def wrap(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Return a copy of the states (..., n) with each periodic one in [lower, upper)."""
+        """Return a copy of the states (..., n) with each periodic one wrapped to [lower, upper)."""
         wrapped = np.array(x, dtype=np.float64)
         _check_count(wrapped.shape[-1:], len(self.states), f"{self.name}: x")
         for i, state in enumerate(self.states):
@@ -132,7 +132,8 @@ class System:
     def numba_dynamics(self) -> Dynamics:
         """Compile `f(x, u, d)` with the parameters as constants: tuples (or arrays) in, a tuple of n floats out.
 
-        Nothing is allocated, and a jitted caller that closes over the function inlines it. Equal systems share one.
+        The function allocates nothing, and a jitted caller that closes over it inlines it. Equal systems share one
+        function.
         """
         return _compile(self.equations, tuple(self.parameters.items()))
 
@@ -145,18 +146,18 @@ def make_system(
     control_bounds: Bounds | None = None,
     disturbance_bounds: Bounds | None = None,
 ) -> System:
-    """Make the system `name` of thesis Table 3.1 with some numbers replaced.
+    """Create the system `name` of thesis Table 3.1, with optional changes.
 
     Args:
-        name: Dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation, point_mass, or the name of
-            a model of another package, see `registry`.
-        parameters: Constants by name, in the units that the model declares.
+        name: One of dubins_car, extended_dubins_car, bicycle, planar_quadrotor, quadrotor_rotation, point_mass, or a
+            model of another package, see `registry`.
+        parameters: Constants by name, in the units declared by the model.
         state_bounds: (lower, upper) by state name; may be infinite. A periodic state keeps the length of its period.
-        control_bounds: (lower, upper) by control name; equal bounds hold the control at that number.
-        disturbance_bounds: (lower, upper) by name, "d_" and the state's name; zero unless given.
+        control_bounds: (lower, upper) by control name; equal bounds fix the control.
+        disturbance_bounds: (lower, upper) by name, which is "d_" plus the state's name; zero by default.
 
     Raises:
-        SystemModelError: An unknown name, or numbers that are not finite, not in order or not positive.
+        SystemModelError: A name is unknown, or numbers are not finite, not in order or not positive.
     """
     model = find_model(name)
     disturbances = tuple(

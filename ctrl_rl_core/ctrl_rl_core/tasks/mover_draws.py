@@ -1,4 +1,4 @@
-"""Motions of a task's moving obstacles in one episode, drawn from what its file leaves open."""
+"""Random motions of a task's moving obstacles in one episode, within the limits of its file."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ctrl_rl_core.tasks.task import NavigationTask, TaskError
 
 Array = NDArray[np.float64]
 _TRIES = 500
-"""Draws of one track, or of one place of a wanderer, before the world counts as too narrow."""
+"""Maximum number of draws of one track, or of one waypoint of a wanderer."""
 _STEP = 0.02
-"""Distance between the places of a way that are checked [m]."""
+"""Spacing of the checked positions along a path [m]."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class MoverPlan:
 
     Attributes:
         radius: Radius of the cylinder [m].
-        motion: Positions over the time that it is under way.
-        delay: Time before it starts [s].
-        near: It starts only when a robot's middle comes nearer to its own than this [m]; None to start at once.
-        yields: It waits while going on would bring it nearer to a robot than this [m]; None for one that never waits.
+        motion: Positions over the time since its start.
+        delay: Start delay [s].
+        near: Distance between a robot's centre and its own that triggers the start [m]; None to start at once.
+        yields: Minimum distance to robots, for which the mover waits [m]; None to never wait.
     """
 
     radius: float
@@ -39,17 +39,17 @@ class MoverPlan:
 
 
 def draw_movers(task: NavigationTask, world: World, random: np.random.Generator) -> tuple[MoverPlan, ...]:
-    """Return the movers of one episode, in the order of the task file.
+    """Draw the movers of one episode, in the order of the task file.
 
-    Tracks and wanderers keep clear of walls and obstacles; of each other they know nothing.
+    Tracks and wanderers keep clear of walls and obstacles, but ignore each other.
 
     Args:
-        task: Task whose movers are drawn.
+        task: Task with the movers.
         world: Walls and obstacles.
-        random: Draws points, speeds and delays.
+        random: Random generator of points, speeds and delays.
 
     Raises:
-        TaskError: A mover has no way that is clear of walls and obstacles.
+        TaskError: No path of a mover is clear of walls and obstacles.
     """
     return tuple(_draw(task, number, spec, world, random) for number, spec in enumerate(task.movers))
 
@@ -101,7 +101,7 @@ def _wander(
 
 
 def _from_path(world: World, points: Array, closed: bool) -> Array:
-    """Return places (m, 2) [m] close together along straight lines in the coordinates of the path."""
+    """Return closely spaced positions (m, 2) [m] along straight lines in path coordinates."""
     assert world.path is not None
     corners = np.concatenate((points, points[:1])) if closed else points
     along, lateral = _between(corners).T
@@ -110,12 +110,12 @@ def _from_path(world: World, points: Array, closed: bool) -> Array:
 
 
 def _clear(points: Array, radius: float, world: World) -> bool:
-    """Tell whether a disc keeps clear of walls and obstacles on straight lines between points (n, 2) [m]."""
+    """Return whether a disc stays clear of walls and obstacles on straight lines between points (n, 2) [m]."""
     return bool((world.signed_distance(_between(points)) >= radius).all())
 
 
 def _between(points: Array) -> Array:
-    """Return points (m, 2) close together on straight lines through points (n, 2), with these."""
+    """Return closely spaced points (m, 2) on straight lines through points (n, 2), including these."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     counts = np.maximum(1, np.ceil(lengths / _STEP)).astype(int)
     parts = [

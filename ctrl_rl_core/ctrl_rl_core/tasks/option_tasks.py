@@ -11,7 +11,7 @@ from ctrl_rl_core.tasks.schema.parts import Part, Reward, Samples, Several, Step
 
 
 class ToolDeliveryAgent(Part):
-    """One robot: its name, where it starts and, for a Turtlebot, where it waits at the table."""
+    """One robot: its name, start, and for a Turtlebot the waiting position at the table."""
 
     name: str
     start: Point
@@ -19,7 +19,7 @@ class ToolDeliveryAgent(Part):
 
 
 class ToolDeliveryRewards(Part):
-    """Reward of each event."""
+    """Reward for each event."""
 
     step: Reward
     failed_pass: Reward
@@ -67,7 +67,7 @@ class Jar(Part):
 
 
 class WaterFilling(TaskHeader):
-    """A slow vehicle and a quick drone keep three jars filled (thesis 5.3.1, Eq. 5.6)."""
+    """A slow vehicle and a fast drone keep three jars filled (thesis 5.3.1, Eq. 5.6)."""
 
     kind: Literal["water_filling"]
     room: Annotated[tuple[LengthInterval, LengthInterval], Strict(False)]

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Outcome(IntEnum):
-    """Numbered as in ctrl_rl_msgs/TaskOutcome: intermediate I, goal G, collision C, trap Tr (thesis Eq. 3.9, 3.17)."""
+    """Values as in ctrl_rl_msgs/TaskOutcome: intermediate I, goal G, collision C, trap Tr (thesis Eq. 3.9, 3.17)."""
 
     RUNNING = 0
     GOAL = 1
@@ -14,5 +14,5 @@ class Outcome(IntEnum):
 
     @property
     def words(self) -> str:
-        """The outcome in words, for people."""
+        """Description of the outcome."""
         return {"GOAL": "goal reached", "TRAP": "trapped", "TIMEOUT": "time-out"}.get(self.name, self.name.lower())

@@ -1,4 +1,4 @@
-"""Sets of states: where episodes start, the goal, the trap."""
+"""Sets of states: start, goal and trap regions."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from ctrl_rl_core.geometry.shapes import Disc
 from ctrl_rl_core.geometry.units import Interval
 
 ANGLES = frozenset({"theta", "phi", "psi", "heading"})
-"""State components on the circle: an interval of them is met by any equal angle."""
+"""Angular state components: an interval also matches equivalent angles."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Intervals of some state components, and optionally a disc of positions; other components are free.
+    """Intervals of some state components, and optionally a disc of positions; other components are unconstrained.
 
     Attributes:
-        intervals: By state name, in SI units.
-        disc: Disc of positions [m]; None for no such bound.
+        intervals: Intervals by state name, in SI units.
+        disc: Disc of positions [m]; None if unconstrained.
     """
 
     intervals: Mapping[str, Interval] = field(default_factory=dict)
     disc: Disc | None = None
 
     def contains(self, names: Sequence[str], states: ArrayLike) -> NDArray[np.bool_]:
-        """Return which states lie in the region.
+        """Return which states lie in the region (...).
 
         Args:
-            names: Components of a state; the first two that are positions (x, y or x, z) meet the disc.
-            states: (..., n) in SI units.
+            names: Components of a state; the first two positions (x, y or x, z) are used for the disc.
+            states: States (..., n) in SI units.
 
         Raises:
-            KeyError: The region bounds a component that `names` lacks.
+            KeyError: The region constrains a component missing from `names`.
         """
         states = np.asarray(states, dtype=float)
         inside = np.ones(states.shape[:-1], dtype=bool)
@@ -52,13 +52,13 @@ class Region:
         return inside
 
     def make_test(self, names: Sequence[str]) -> Callable[[Sequence[float]], bool]:
-        """Return a function that says whether one state (n,) of plain floats lies in the region, quickly.
+        """Return a fast test whether one state (n,) of plain floats lies in the region.
 
         Args:
             names: Components of a state, as for `contains`.
 
         Raises:
-            KeyError: The region bounds a component that `names` lacks.
+            KeyError: The region constrains a component missing from `names`.
         """
         self.contains(names, np.zeros(len(names)))  # refuses what it does not know
         bounds = [(list(names).index(name), name in ANGLES, *each) for name, each in self.intervals.items()]
@@ -80,7 +80,7 @@ class Region:
         return test
 
     def sample(self, names: Sequence[str], random: np.random.Generator) -> NDArray[np.float64]:
-        """Return one state (n,) drawn uniformly from intervals and disc; 0 where the region leaves it free."""
+        """Draw one state (n,) uniformly from intervals and disc; unconstrained components are 0."""
         state = np.array([random.uniform(*self.intervals.get(name, Interval(0.0, 0.0))) for name in names])
         if self.disc is not None:
             radius, angle = self.disc.radius * np.sqrt(random.uniform()), random.uniform(-np.pi, np.pi)
@@ -89,7 +89,7 @@ class Region:
 
     @property
     def position(self) -> tuple[float, float]:
-        """The middle of the region's positions [m]."""
+        """Centre of the region's positions [m]."""
         if self.disc is not None:
             return self.disc.centre
         middles = [self.intervals[name].centre for name in ("x", "y", "z") if name in self.intervals]
@@ -97,15 +97,15 @@ class Region:
 
 
 def position_indices(names: Sequence[str]) -> list[int]:
-    """Return the indices of the two positions: x and y, or x and z."""
+    """Return the indices of the two position components: x and y, or x and z."""
     return [index for index, name in enumerate(names) if name in ("x", "y", "z")][:2]
 
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
-    """Return angles in [-pi, pi)."""
+    """Wrap angles to [-pi, pi)."""
     return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def wrap_one(angle: float) -> float:
-    """Return one angle in [-pi, pi), quickly."""
+    """Wrap one angle to [-pi, pi), quickly."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,4 +1,4 @@
-"""The reward that a task pays when an episode ends, by its outcome."""
+"""Terminal rewards of a task, by outcome."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def terminal_reward(
 
     Args:
         outcomes: Values of `Outcome` (...).
-        rewards: Rewards of the task.
-        tilted: Whether a collision was a tilt beyond the task's limit (...).
-        running: Reward while an episode goes on.
+        rewards: Reward specification of the task.
+        tilted: Whether each collision was a tilt beyond the task's limit (...).
+        running: Reward while an episode continues.
     """
     table = np.zeros((2, len(Outcome)))
     table[:, Outcome.RUNNING] = running
@@ -30,5 +30,5 @@ def terminal_reward(
 
 
 def tilt_reward(rewards: RewardSpec) -> float:
-    """Return the reward for too much tilt: that of a collision unless the task names another."""
+    """Return the reward for excessive tilt: that of a collision unless the task specifies another."""
     return rewards.collision if rewards.tilt is None else rewards.tilt

@@ -14,12 +14,13 @@ from ctrl_rl_core.tasks.task import NavigationTask, TaskError
 
 Array = NDArray[np.float64]
 _TRIES = 200
-"""Draws of one robot's state before its layout is given up."""
+"""Number of draws of one robot's state before its layout is abandoned."""
 _LAYOUTS = 50
-"""Number of layouts that are tried before the start set counts as too small. One failure proves little: the first
-robots may happen to leave no room for another."""
+"""Number of layouts to try before the start set counts as too small; the first robots of a layout may happen to leave
+no room for another.
+"""
 _GAP = 0.1
-"""Free space between two robots, or a robot and a mover, at the start [m]."""
+"""Minimum gap between two robots, or a robot and a mover, at the start [m]."""
 
 
 def draw_starts(
@@ -31,21 +32,21 @@ def draw_starts(
     random: np.random.Generator,
     movers: Sequence[Disc] = (),
 ) -> list[Array]:
-    """Return one start state (n,) for each of `count` robots, ordered as the system names its components.
+    """Draw one start state (n,) for each of `count` robots, with components in the system's order.
 
-    In a corridor each further robot is set so much further along the path that two cannot touch.
+    In a corridor, each further robot starts far enough along the path not to touch the previous one.
 
     Args:
-        task: The task whose start set is drawn from.
-        system: The task's system model.
+        task: Task with the start set.
+        system: System model of the task.
         world: Walls and obstacles.
-        count: The number of robots.
-        radius: The radius of a circle that holds a robot [m].
-        random: The generator that the states are drawn from.
+        count: Number of robots.
+        radius: Radius of a circle that encloses a robot [m].
+        random: Random generator.
         movers: Discs of the moving obstacles at the start, which no robot may touch.
 
     Raises:
-        TaskError: The start set has no room for so many robots.
+        TaskError: The start set has no room for this many robots.
     """
     most = 0
     for _ in range(_LAYOUTS):
@@ -67,7 +68,7 @@ def _draw_layout(
     random: np.random.Generator,
     movers: Sequence[Disc],
 ) -> list[Array]:
-    """Return the start states of as many robots as found room one after the other."""
+    """Place robots one after the other, and return the start states of those that fit."""
     place = position_indices(system.state_names)
     distance = 2 * radius + _GAP
     layout: list[Array] = []
@@ -92,7 +93,7 @@ def _draw_layout(
 def _in_corridor(
     task: NavigationTask, system: System, world: World, ahead: float, random: np.random.Generator
 ) -> Array | None:
-    """Return a start state drawn in path coordinates and set `ahead` metres on, None where there is no path."""
+    """Draw a start state in path coordinates, moved forward by `ahead` metres; None outside a corridor."""
     if world.path is None:
         return None
     intervals = task.start.intervals

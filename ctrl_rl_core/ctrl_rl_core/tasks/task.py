@@ -3,7 +3,7 @@
     task = load_task("curved_corridor")     # a task of the suite, or a path to a file of your own
     world = task.build_world(width=0.65)
 
-A file that has a wrong key, unit or shape is refused with one error that names file and key.
+A wrong key, unit or shape raises one error that names file and key.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from ctrl_rl_core.tasks.schema.world import ArenaSpec, CorridorSpec, DoorwaySpec
 FOLDER = FilePath(__file__).parent / "task_files"
 _PROSE = {"about", "source", "differences"}
 _YOUNG = {"map", "movers", "randomisation", "doorways"}
-"""Parts that tasks did not always have: a task without them keeps its digest."""
+"""Parts added to tasks later: a task without them keeps its digest."""
 
 
 class TaskError(CtrlRlError):
-    """A task file is missing or wrong."""
+    """A task file is missing or invalid."""
 
 
 class NavigationTask(TaskHeader):
-    """A robot goes from a start set to a goal set in a plane, (x, y) or (x, z), among obstacles."""
+    """A robot moves from a start set to a goal set in a plane, (x, y) or (x, z), among obstacles."""
 
     kind: Literal["navigation"]
     system: SystemSpec
@@ -66,7 +66,7 @@ class NavigationTask(TaskHeader):
     @model_validator(mode="before")
     @classmethod
     def _of_the_robot(cls, value: Any, info: ValidationInfo) -> Any:
-        """Take the lidar of the robot where the task has none, and its limits for the word `robot` in bounds."""
+        """Fill in the robot's lidar if the task has none, and its limits for the word `robot` in bounds."""
         robot = named_robot(value.get("robot"), info) if isinstance(value, dict) else None
         if robot is None:
             return value
@@ -102,7 +102,7 @@ class NavigationTask(TaskHeader):
         return self
 
     def _check_model(self) -> None:
-        """Refuse a body that is a model of which the simulation cannot tell where it is, or that has other commands."""
+        """Reject a `MODEL` body whose state has no pose, or whose commands differ from its controls."""
         if self.robot.body != MODEL:
             return
         system = self.system.build()
@@ -117,18 +117,18 @@ class NavigationTask(TaskHeader):
 
     @property
     def plane(self) -> str:
-        """The coordinates of the plane: "xz" for a quadrotor, "xy" for a ground robot."""
+        """Coordinates of the plane: "xz" for a quadrotor, "xy" for a ground robot."""
         return "xz" if "z" in (state.name for state in find_model(self.system.model).states) else "xy"
 
     @property
     def observed_states(self) -> tuple[str, ...]:
-        """Observation of the robot's own motion: the system's state, and in a corridor the speeds."""
+        """Observed components of the robot's motion: the system's state, and in a corridor the speeds."""
         own = self.system.build().state_names
         return own if self.corridor is None else (*own, "v", "omega")
 
     @property
     def plane_bounds(self) -> dict[str, Interval]:
-        """Bounds of the space within the walls, by coordinate [m]; around a corridor at its widest."""
+        """Bounds of the space within the walls, by coordinate [m]; for a corridor at its maximum width."""
         if self.arena is not None:
             return dict(zip(self.plane, self.arena.bounds, strict=True))
         if self.map is not None:
@@ -140,14 +140,14 @@ class NavigationTask(TaskHeader):
         return {name: Interval(float(low), float(high)) for name, low, high in ends}
 
     def build_world(self, width: float | None = None, random: np.random.Generator | None = None) -> World:
-        """Return walls and obstacles.
+        """Create walls and obstacles.
 
         Args:
             width: Free width of the corridor [m]; None for the nominal one.
-            random: Generator of the doorways' places and widths; None for the middle of their ranges.
+            random: Random generator of doorway positions and widths; None for the midpoints of their ranges.
 
         Raises:
-            TaskError: There is no corridor, or its width range does not hold `width`.
+            TaskError: There is no corridor, or `width` is outside its range.
         """
         shapes = tuple(obstacle.shape for obstacle in self.obstacles)
         if self.corridor is None:
@@ -172,12 +172,12 @@ _READER: TypeAdapter[Task] = TypeAdapter(Annotated[Task, Discriminator("kind")])
 
 
 def task_names() -> tuple[str, ...]:
-    """Return the names of the suite's own tasks."""
+    """Return the names of the tasks shipped with the suite."""
     return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
 
 
 def task_file(name_or_path: str | FilePath) -> FilePath:
-    """Return the file of a task by name, or the path itself.
+    """Return the file of a task by name, or the path unchanged.
 
     Raises:
         TaskError: The suite has no task of that name.
@@ -194,10 +194,10 @@ def task_file(name_or_path: str | FilePath) -> FilePath:
 
 
 def load_task(name_or_path: str | FilePath) -> Task:
-    """Read a task by name, or from a file.
+    """Load a task by name or path.
 
     Raises:
-        TaskError: No such task, or the file is wrong; the message names file and key.
+        TaskError: The task does not exist, or its file is invalid; the message names file and key.
     """
     path = task_file(name_or_path)
     with raise_as(TaskError, path):
@@ -212,10 +212,10 @@ def load_task(name_or_path: str | FilePath) -> Task:
 
 
 def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
-    """Read a task that must be a navigation task.
+    """Load a task that must be a navigation task.
 
     Raises:
-        TaskError: As `load_task`, or the task is of another kind.
+        TaskError: As for `load_task`, or the task is of another kind.
     """
     task = load_task(name_or_path)
     if not isinstance(task, NavigationTask):
@@ -224,7 +224,7 @@ def load_navigation_task(name_or_path: str | FilePath) -> NavigationTask:
 
 
 def task_digest(task: TaskHeader) -> str:
-    """Return the SHA-256 (hex) of the task's content in SI units; prose and layout of the file do not count."""
+    """Return the SHA-256 (hex) of the task's content in SI units, independent of prose and file layout."""
     left_out: dict[str, Any] = dict.fromkeys(_PROSE | {name for name in _YOUNG if not getattr(task, name, None)}, True)
     if isinstance(task, NavigationTask) and task.robot.footprint is None:
         left_out["robot"] = {"footprint"}

@@ -1,4 +1,4 @@
-"""Value functions on regular grids: interpolation, files, and the protocol of their users."""
+"""Value functions on regular grids: interpolation, files, and their common protocol."""
 
 import lazy_loader as lazy
 

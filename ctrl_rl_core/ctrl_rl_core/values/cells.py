@@ -1,4 +1,4 @@
-"""Cells of a regular grid: its axes as a table, and where along them a state lies, compiled by Numba."""
+"""Cells of a regular grid: an axis table, and the location of states along the axes, compiled by Numba."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
@@ -26,7 +26,7 @@ _OPTIONS = {"error_model": "numpy"}
 
 
 def axis_table(axes: Sequence[Axis]) -> NDArray[np.float64]:
-    """Return the axes as the table (n, 9) of the kernels: no bounds on a periodic axis, period 0 on any other."""
+    """Return the axis table (n, 9) of the kernels; periodic axes have infinite bounds, other axes period 0."""
     table = np.zeros((len(axes), 9))
     stride = 1
     for row, axis in reversed(list(zip(table, axes, strict=True))):
@@ -41,18 +41,18 @@ def axis_table(axes: Sequence[Axis]) -> NDArray[np.float64]:
 
 
 def compiled(function: Function) -> Function:
-    """Compile lazily; keep the machine code on disk (a Raspberry Pi compiles for seconds) where that is possible."""
+    """Compile lazily, with machine code cached on disk if possible (compiling takes seconds on a Raspberry Pi)."""
     return cast("Function", cached_njit(function, **_OPTIONS))
 
 
 def inlined(function: Function) -> Function:
-    """Compile into the caller, where the number of dimensions is a constant and the small loops unroll."""
+    """Compile into the caller, where a constant number of dimensions lets small loops unroll."""
     return njit(forceinline=True, **_OPTIONS)(function)
 
 
 @inlined
 def locate(axes: Axes, k: int, coordinate: float) -> tuple[bool, int, int, float]:
-    """Along axis k: whether the coordinate is inside, offsets of the nodes below and above, weight of the upper one."""
+    """Locate a coordinate on axis k: whether it is inside, offsets of the lower and upper node, upper weight."""
     # Free of branches: mispredicted ones cost several times the arithmetic.
     position = (coordinate - axes[k, ORIGIN]) * axes[k, PER_UNIT]
     position -= np.floor(position * axes[k, PER_PERIOD]) * axes[k, PERIOD]

@@ -10,18 +10,18 @@ from ctrl_rl_core.errors import CtrlRlError
 
 
 class GridError(CtrlRlError):
-    """A value grid, its file or a query of it is wrong; the message names the file or the field."""
+    """A value grid, its file or a query is invalid; the message names the file or the field."""
 
 
 @dataclass(frozen=True)
 class Axis:
     """Evenly spaced nodes of one state component.
 
-    Nodes are lower + i * spacing, i = 0 .. count - 1. The last one is `upper`, except on a periodic axis, where `upper`
-    is the same point as `lower` and is not stored.
+    Nodes are lower + i * spacing, i = 0 .. count - 1. The last node is `upper`, except on a periodic axis, where
+    `upper` coincides with `lower` and is not stored.
 
     Raises:
-        GridError: Bounds that are not finite or not in order, or fewer than two nodes.
+        GridError: Bounds are not finite or not in order, or there are fewer than two nodes.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Axis:
 
     @property
     def spacing(self) -> float:
-        """Distance of neighbouring nodes [unit]."""
+        """Spacing of the nodes [unit]."""
         return (self.upper - self.lower) / (self.count if self.periodic else self.count - 1)
 
     @property

@@ -21,7 +21,7 @@ _LARGEST_COUNT = 10_000_000
 
 
 class AxisHeader(Schema):
-    """An `Axis` in a file."""
+    """Schema of an `Axis` in a file."""
 
     name: Name
     unit: Annotated[str, Field(max_length=100)]
@@ -37,7 +37,7 @@ class AxisHeader(Schema):
 
 
 class GridText(Schema):
-    """Description of a grid besides its axes; its fields are those of `ValueGrid`."""
+    """Description of a grid besides its axes, with the fields of `ValueGrid`."""
 
     kind: Literal["time_to_reach", "oc_value", "avoid", "reach_avoid"]
     task: Name
@@ -46,13 +46,13 @@ class GridText(Schema):
     residual: Annotated[float, Field(ge=0.0)]
     notes: dict[str, str]
     values_sha256: Sha256 | None = None
-    """Of the numbers alone, in files of before there was a digest of everything."""
+    """Digest of the values alone, in files that predate the digest of the whole file."""
 
     def check(self, values: NDArray[Any]) -> None:
-        """Refuse numbers that the file's writer did not write.
+        """Verify the checksum of the values.
 
         Raises:
-            FileError: They have another checksum.
+            FileError: The checksum does not match.
         """
         if self.values_sha256 not in (None, values_digest(values)):
             raise FileError("has values that do not match their checksum; copy or compute it again")
@@ -65,7 +65,7 @@ class _GridHeader(GridText):
 
 
 def encode(values: NDArray[Any], description: Mapping[str, Any]) -> bytes:
-    """Return the bytes of the file: the same for the same values (float32 or float64) and description."""
+    """Return the bytes of the file, deterministic for the same values (float32 or float64) and description."""
     return checked_tensors.encode_tensors({_TENSOR: values}, HEADER_KEY, description)
 
 
@@ -73,7 +73,7 @@ def write_grid_file(path: Path, content: bytes, *, overwrite: bool) -> None:
     """Write the file atomically.
 
     Raises:
-        GridError: The file exists and `overwrite` is false, or it cannot be written.
+        GridError: The file exists and `overwrite` is false, or cannot be written.
     """
     if path.exists() and not overwrite:
         raise GridError(f"{path}: exists already; give another name or ask to overwrite it")
@@ -84,10 +84,10 @@ def write_grid_file(path: Path, content: bytes, *, overwrite: bool) -> None:
 
 
 def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
-    """Values, axes and the rest of the description of a file.
+    """Return values, axes and the rest of the description of a file.
 
     Raises:
-        FileError, ValidationError, OSError: The file holds no complete grid; `raise_as` turns each into one error.
+        FileError, ValidationError, OSError: The file has no complete grid; `raise_as` converts each to one error class.
     """
     header, tensors, _ = checked_tensors.read_tensors(path, HEADER_KEY, largest=None, finite=False)
     told = _GridHeader.model_validate(header)
@@ -99,5 +99,5 @@ def read(path: Path) -> tuple[NDArray[Any], tuple[Axis, ...], dict[str, Any]]:
 
 
 def values_digest(values: NDArray[Any]) -> str:
-    """Return the SHA-256 (hex) of an array's numbers."""
+    """Return the SHA-256 (hex) of an array's values."""
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

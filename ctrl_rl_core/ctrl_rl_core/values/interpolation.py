@@ -1,16 +1,16 @@
 """Multilinear interpolation on a regular grid of one to six dimensions, compiled by Numba.
 
 Inside a cell the value is the average of its 2^n corners with the multilinear weights, and the gradient is the exact
-derivative of that average. On a face between cells (where the gradient jumps) the cell on the upper side counts, on the
-last face the last cell.
+derivative of that average. On a face between cells (where the gradient jumps) the upper cell is used; on the last face,
+the last cell.
 
-Corners at +inf ("cannot reach"): the corners with finite values are averaged alone, with their weights scaled to sum to
-one, if they carry at least half of the weight; otherwise the value is +inf and the gradient NaN. So the edge of what
-can be reached lies half-way between nodes, on average neither grown nor shrunk, and a corridor one node wide stays
-open. (Infinite as soon as one corner is would widen every obstacle by a cell; finite as long as one corner is would
-thin it by a cell.)
+Corners at +inf (unreachable): if the finite corners carry at least half of the weight, only they are averaged, with
+their weights rescaled to sum to one; otherwise the value is +inf and the gradient NaN. The boundary of the reachable
+set therefore lies half-way between nodes, on average neither grown nor shrunk, and a corridor one node wide stays open.
+(Returning +inf for any infinite corner would widen every obstacle by a cell; returning a finite value for any finite
+corner would thin it by a cell.)
 
-States outside, and those that are not finite, give NaN. Nothing is extrapolated.
+States outside the grid and non-finite states give NaN; there is no extrapolation.
 """
 
 from typing import Any
@@ -40,12 +40,12 @@ from ctrl_rl_core.values.cells import (
 from ctrl_rl_core.values.grid_axis import GridError
 
 _BLOCK = 64
-"""States that are interpolated together: their corners fit into the processor's nearest cache."""
+"""States interpolated per block, so that their corners fit into the L1 cache."""
 
 
 @compiled
 def _finite_cell_value(n: int, corners: Values, offsets: Offsets, weights: Weights) -> float:
-    """Average over the corners that are finite, if they carry at least half of the weight, else +inf."""
+    """Average the finite corners if they carry at least half of the weight; else return +inf."""
     total, finite_weight = 0.0, 0.0
     for corner in range(1 << n):
         weight, offset = 1.0, 0
@@ -93,7 +93,7 @@ def _check_size(n: int, size: int) -> None:
 
 @compiled
 def _value_beside_infinity(values: Values, axes: Axes, state: Vector) -> float:
-    """Value at a state (n,) that has a corner at +inf or lies outside."""
+    """Return the value at a state (n,) that has a corner at +inf or lies outside."""
     n = values.ndim
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))
     if not locate_cell(n, axes, state.reshape(1, n), 0, offsets, weights):
@@ -103,7 +103,7 @@ def _value_beside_infinity(values: Values, axes: Axes, state: Vector) -> float:
 
 @compiled
 def _gradient_beside_infinity(values: Values, axes: Axes, state: Vector, gradient: Vector) -> float:
-    """Value at a state (n,) as above; fills gradient (n,)."""
+    """Return the value at such a state (n,), and fill its gradient (n,)."""
     n = values.ndim
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))
     gradient[:] = np.nan
@@ -118,7 +118,7 @@ def _gradient_beside_infinity(values: Values, axes: Axes, state: Vector, gradien
 
 @inlined
 def _locate_block(axis: Vector, coordinates: Vector, size: int, lower: Vector, upper: Vector, weights: Vector) -> None:
-    """As `locate` along one axis, for the first `size` coordinates: node offsets, upper weights, NaN outside."""
+    """As `locate` on one axis, for the first `size` coordinates: node offsets, upper weights, NaN outside."""
     # The axis in local variables and branch-free arithmetic on floats alone: so the compiler makes vectors of it.
     origin, per_unit, lowest, highest = axis[ORIGIN], axis[PER_UNIT], axis[LOWEST], axis[HIGHEST]
     period, per_period = axis[PERIOD], axis[PER_PERIOD]
@@ -150,7 +150,7 @@ def _locate_blocks(
 
 @inlined
 def _gather_block(n: int, corners: Values, size: int, offsets: Any, out: Any) -> None:
-    """Fill out (2^n, block) with the corners of each state's cell; bit k of the row tells the node along axis k."""
+    """Fill out (2^n, block) with the corners of each state's cell; bit k of the row selects the node along axis k."""
     for corner in range(1 << n):
         for i in range(size):
             offset = 0
@@ -221,7 +221,7 @@ def gradients_at(values: Values, axes: Axes, states: States, out: Vector, gradie
 
 @compiled
 def value_at(values: Values, axes: Axes, state: Vector) -> float:
-    """Value at one state (n,); `values` is C-contiguous with n dimensions, `axes` from `axis_table`."""
+    """Return the value at one state (n,); `values` is C-contiguous with n dimensions, `axes` from `axis_table`."""
     # The arithmetic of `values_at` in the same order, without its blocks: one state takes half the time.
     n = values.ndim
     _check_size(n, state.size)
@@ -245,7 +245,7 @@ def value_at(values: Values, axes: Axes, state: Vector) -> float:
 
 @compiled
 def gradient_at(values: Values, axes: Axes, state: Vector, gradient: Vector) -> float:
-    """Value at one state (n,); fills gradient (n,)."""
+    """Return the value at one state (n,), and fill its gradient (n,)."""
     out = np.empty(1)
     gradients_at(values, axes, state.reshape(1, state.size), out, gradient.reshape(1, gradient.size))
     return out[0]

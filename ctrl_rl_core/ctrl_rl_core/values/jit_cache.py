@@ -1,6 +1,6 @@
-"""Machine code that is kept on disk between processes, where there is a place for it, and compiled again if damaged.
+"""On-disk cache of machine code between processes, recompiled if damaged.
 
-Processes that start at the same time compile it once: the others wait and read what the first has written.
+Processes that start simultaneously compile each function once: the others wait and load the first one's result.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from numba.core.compiler_lock import global_compiler_lock
 from ctrl_rl_core.processes.exclusive_lock import LockError, exclusive_lock
 
 _PATIENCE_S = 60.0
-"""How long a process waits for another one's code before it compiles its own [s]: the other may be frozen."""
+"""Time for which a process waits for another one's code before compiling its own [s]: the other may be frozen."""
 _PAUSE_S = 0.02
 _compiling: set[Path] = set()
 
 
 def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    """Compile a function at its first call, or read its code from disk; options as for `numba.njit`."""
+    """Compile a function at its first call, or load its code from disk; options as for `numba.njit`."""
     try:
         compiled: Any = njit(cache=True, **options)(function)
     except RuntimeError:  # no writable cache folder: a read-only installation without a home
@@ -43,7 +43,7 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., A
 
 
 def _sources(function: Any, found: set[Any] | None = None) -> set[str]:
-    """Return the files of a function and of all compiled functions that it calls, whose code is part of its own."""
+    """Return the source files of a function and of all compiled functions that it calls and thus contains."""
     seen = set() if found is None else found
     seen.add(function)
     for name in function.__code__.co_names:
@@ -54,7 +54,7 @@ def _sources(function: Any, found: set[Any] | None = None) -> set[str]:
 
 
 def _stamp(file: str) -> tuple[float, int]:
-    """Return time of change and size of a file; zeros where it is none."""
+    """Return the modification time and size of a file; zeros if it does not exist."""
     with suppress(OSError):
         state = os.stat(file)
         return state.st_mtime, state.st_size
@@ -62,7 +62,7 @@ def _stamp(file: str) -> tuple[float, int]:
 
 
 def _in_turn(compile_: Callable[..., Any], lock: Path) -> Callable[..., Any]:
-    """Return a function's `compile` that one process does at a time; Numba's own lock is for the threads of one."""
+    """Serialise a function's `compile` across processes; Numba's own lock covers threads of one process."""
 
     def compile_in_turn(signature: Any) -> Any:
         with global_compiler_lock, _turn(lock):
@@ -73,7 +73,7 @@ def _in_turn(compile_: Callable[..., Any], lock: Path) -> Callable[..., Any]:
 
 @contextmanager
 def _turn(lock: Path) -> Iterator[None]:
-    """Hold a lock file, where there is a place for it and nobody holds it for ever."""
+    """Hold a lock file, if a cache folder exists and no other process holds the lock forever."""
     with ExitStack() as turn:
         deadline = time.monotonic() + _PATIENCE_S
         while lock not in _compiling and time.monotonic() < deadline:  # it is where a function calls itself
@@ -90,15 +90,15 @@ def _turn(lock: Path) -> Iterator[None]:
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """Numba's files with a digest in front: Numba runs whatever bytes it finds, and an empty file ends the process."""
+    """Numba cache files with a leading digest: Numba runs any bytes it finds, and crashes on an empty file."""
 
     @property
     def lock(self) -> Path:
-        """File that is locked while this function is compiled."""
+        """Lock file used while this function is compiled."""
         return Path(f"{self._index_path}.lock")
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep code, or say why it cannot be kept: it works all the same."""
+        """Cache the code, or log why it cannot be cached; the function works either way."""
         try:
             super().save(key, data)
         except OSError as error:
@@ -127,10 +127,10 @@ class _CheckedFile(IndexDataCacheFile):
 
 
 def _read(path: str) -> bytes:
-    """Return the content of a file behind its digest.
+    """Return the content of a file that follows its digest.
 
     Raises:
-        OSError: it is missing, or not as it was written; then the code is compiled anew and the file written again.
+        OSError: The file is missing or damaged; the code is then recompiled and the file rewritten.
     """
     content = Path(path).read_bytes()
     size = hashlib.sha256().digest_size

@@ -1,4 +1,4 @@
-"""The plane of positions through the domain of a value function, over which slices are served and drawn."""
+"""The plane of positions through a value function's domain, over which slices are served and drawn."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ctrl_rl_core.values.value_function import ValueFunction, ValueFunctionError
 
 @dataclass(frozen=True)
 class Plane:
-    """x-y or x-z.
+    """The x-y or x-z plane.
 
     Attributes:
         names: Names of all states, in the system's order.
-        first: Axis drawn to the right.
-        second: Axis drawn upwards.
+        first: Horizontal axis.
+        second: Vertical axis.
     """
 
     names: tuple[str, ...]
@@ -29,7 +29,7 @@ class Plane:
 
     @property
     def others(self) -> tuple[str, ...]:
-        """Names of the components that are fixed in a slice."""
+        """Names of the components fixed in a slice."""
         return tuple(name for name in self.names if name not in (self.first.name, self.second.name))
 
     def states(
@@ -40,10 +40,10 @@ class Plane:
         Args:
             first: Positions along the first axis [m].
             second: Positions along the second axis [m].
-            at: The other components [their unit]; 0 where left out.
+            at: Values of the other components [their unit]; 0 by default.
 
         Raises:
-            ValueFunctionError: `at` names something else.
+            ValueFunctionError: `at` names an unknown component.
         """
         for name in at:
             if name not in self.others:
@@ -62,7 +62,7 @@ def plane_of(function: ValueFunction) -> Plane:
     """Return the plane of a function's positions.
 
     Raises:
-        ValueFunctionError: Its state has no two positions.
+        ValueFunctionError: The state does not have two positions.
     """
     names = function.state_names
     indices = position_indices(names)

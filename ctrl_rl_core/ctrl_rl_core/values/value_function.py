@@ -1,4 +1,4 @@
-"""The protocol of value functions for rewards, baselines and the nodes that serve them."""
+"""Protocol of value functions, for rewards, baselines and the nodes that serve them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ctrl_rl_core.values.grid_axis import Axis
 from ctrl_rl_core.values.value_grid import ValueGrid
 
 ROWS = 8192
-"""States of a large batch that are looked up at a time: each layer of 64 units of a network then takes 4 MB."""
+"""States of a large batch evaluated at a time; a network layer of 64 units then takes 4 MB."""
 
 
 class ValueFunctionError(CtrlRlError):
@@ -22,7 +22,7 @@ class ValueFunctionError(CtrlRlError):
 
 
 class ValueFunction(Protocol):
-    """A function of the state: one value grid, or several joined (a `ValueGrid` is one as well)."""
+    """A function of the state: one value grid, or several combined (`ValueGrid` also satisfies this protocol)."""
 
     @property
     def kind(self) -> str:
@@ -30,7 +30,7 @@ class ValueFunction(Protocol):
 
     @property
     def task(self) -> str:
-        """Name of the task that it belongs to."""
+        """Name of the task that the function belongs to."""
 
     @property
     def task_digest(self) -> str:
@@ -38,7 +38,7 @@ class ValueFunction(Protocol):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of its file."""
+        """SHA-256 of the function's file."""
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -46,11 +46,11 @@ class ValueFunction(Protocol):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Axes of the state's components, in order."""
+        """Axes of the state components, in order."""
 
     @property
     def grids(self) -> tuple[ValueGrid, ...]:
-        """The grids that it consists of."""
+        """Grids of the function."""
 
     def value(self, states: ArrayLike) -> NDArray[np.float64]:
         """Values (...) at states (..., n): NaN outside the domain, +inf where the goal cannot be reached."""
@@ -63,16 +63,16 @@ class ValueFunction(Protocol):
 
 
 def batches(count: int) -> Iterator[slice]:
-    """Yield the slices of a batch of `count` states, `ROWS` in each and the rest in the last."""
+    """Yield slices of a batch of `count` states, `ROWS` states in each and the rest in the last."""
     for begin in range(0, count, ROWS):
         yield slice(begin, min(begin + ROWS, count))
 
 
 def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> bool:
-    """Return whether a function was made for this very version of its task.
+    """Return whether a function was made for this exact version of its task.
 
     Raises:
-        ValueFunctionError: It is of another kind, of another task, or of another state.
+        ValueFunctionError: The function is of another kind, task or state.
     """
     names = task.system.build().state_names
     if function.kind != kind:

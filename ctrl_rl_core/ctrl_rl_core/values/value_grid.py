@@ -1,10 +1,10 @@
 """A value function on a regular grid: its description, its file, and its value and gradient at any state.
 
     grid = ValueGrid.load("car_ttr.safetensors")
-    phi = grid.at(np.array([0.0, 1.0, 0.5]))       # one state, the quick way
+    phi = grid.at(np.array([0.0, 1.0, 0.5]))       # one state, the fastest way
     phi, gradient = grid.value_and_gradient(states)  # (N, 3) -> (N,), (N, 3)
 
-The rule of interpolation, for +inf ("cannot reach") and outside the domain (NaN), is told in `interpolation`.
+See `interpolation` for the treatment of +inf (unreachable) and of states outside the domain (NaN).
 """
 
 import hashlib
@@ -37,20 +37,20 @@ class ValueGrid:
     """A value function on a regular grid of one to six dimensions; immutable.
 
     Attributes:
-        values: Shape (count of axis 0, ...), float32 or float64, read-only. A time to reach is not negative and may be
-            +inf (cannot reach); other values are finite.
-        axes: One an index of `values`, in the order of the state's components.
-        kind: "time_to_reach" (thesis Eq. 2.18), "oc_value" (thesis Eq. 3.13), or "avoid" and "reach_avoid": distance at
-            which all that is to be avoided can be kept, for the second also on the way to a target; safe from 0 on.
+        values: Shape (count of axis 0, ...), float32 or float64, read-only. Times to reach are non-negative and may be
+            +inf (unreachable); other values are finite.
+        axes: One axis per dimension of `values`, in the order of the state's components.
+        kind: "time_to_reach" (thesis Eq. 2.18), "oc_value" (thesis Eq. 3.13), or "avoid" and "reach_avoid": guaranteed
+            distance from everything to be avoided, for "reach_avoid" also on the way to a target; safe if >= 0.
         task: Name of the task that the values belong to.
         task_digest: SHA-256 of that task, 64 hexadecimal digits.
         solver: Name of the solver that computed the values.
-        residual: The solver's last residual [unit of the values], zero or more.
-        notes: Anything else worth keeping, text by name.
-        at: Value at one state, a C-contiguous float64 array (n,), the quickest way; GridError for another size.
+        residual: Final residual of the solver [unit of the values], >= 0.
+        notes: Further metadata, text by name.
+        at: Fastest evaluation at one state, a C-contiguous float64 array (n,); raises GridError for another size.
 
     Raises:
-        GridError: Anything that contradicts the above.
+        GridError: An attribute violates the above.
     """
 
     values: NDArray[np.float32] | NDArray[np.float64]
@@ -96,16 +96,16 @@ class ValueGrid:
 
     @property
     def grids(self) -> tuple[Self, ...]:
-        """Itself: a value function may also consist of several grids."""
+        """The grid itself; a value function may also consist of several grids."""
         return (self,)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the file that `save` writes, 64 hexadecimal digits."""
+        """SHA-256 of the file written by `save`, 64 hexadecimal digits."""
         return hashlib.sha256(self._encode()).hexdigest()
 
     def value(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Values at the states.
+        """Return the values at states.
 
         Args:
             states: Shape (n,) or (..., n), in the order and units of the axes.
@@ -114,7 +114,7 @@ class ValueGrid:
             Shape (...), NaN outside the domain, +inf where the goal cannot be reached [unit of the values].
 
         Raises:
-            GridError: States whose last dimension is not n.
+            GridError: The last dimension of `states` is not n.
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
@@ -122,7 +122,7 @@ class ValueGrid:
         return out.reshape(shape)
 
     def value_and_gradient(self, states: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Values and gradients at the states, shapes (...) and (..., n); arguments, units and errors as for `value`.
+        """Return values (...) and gradients (..., n) at states; arguments, units and errors as for `value`.
 
         A gradient [unit of the values per unit of the axis] is NaN where the value is NaN or +inf.
         """
@@ -132,28 +132,31 @@ class ValueGrid:
         return out.reshape(shape), gradients.reshape(*shape, len(self.axes))
 
     def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """As `value_and_gradient` for one state, quickly: a C-contiguous float64 array (n,), without conversions."""
+        """As `value_and_gradient` for one state, but faster: a C-contiguous float64 array (n,), without conversions."""
         gradient = np.empty(len(self.axes))
         return gradient_at(self._own_values, self._table, state, gradient), gradient
 
     def in_domain(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each state (..., n) lies inside the grid, edges included; shape (...). Errors as for `value`."""
+        """Return whether each state (..., n) lies inside the grid, edges included, shape (...).
+
+        Errors as for `value`.
+        """
         return ~np.isnan(self.value(states))
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the grid as one safetensors file, atomically.
+        """Write the grid to a safetensors file, atomically.
 
         Raises:
-            GridError: The file exists and `overwrite` is false, or it cannot be written.
+            GridError: The file exists and `overwrite` is false, or cannot be written.
         """
         grid_file.write_grid_file(Path(path), self._encode(), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read and check a grid.
+        """Load and validate a grid.
 
         Raises:
-            GridError: The file cannot be read or is no grid; the message names it and the fault.
+            GridError: The file cannot be read or is not a grid; the message names the file and the error.
         """
         with raise_as(GridError, path):
             values, axes, text = grid_file.read(Path(path))
@@ -167,7 +170,7 @@ class ValueGrid:
         )
 
     def _rows(self, states: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
-        """Return the states as rows (N, n) and the shape (...) that they came in."""
+        """Return the states as rows (N, n), and their original shape (...)."""
         try:
             array = np.asarray(states, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -183,7 +186,7 @@ _DESCRIPTION = ("kind", "task", "task_digest", "solver", "residual", "notes")
 
 
 def _check_description(grid: ValueGrid) -> None:
-    """Hold a grid to the schema of its file."""
+    """Validate a grid against the schema of its file."""
     try:
         grid_file.GridText.model_validate({name: getattr(grid, name) for name in _DESCRIPTION})
     except ValidationError as error:

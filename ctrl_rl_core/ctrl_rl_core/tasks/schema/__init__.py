@@ -1,1 +1,1 @@
-"""Schemas of task files, one module a part."""
+"""Schemas of task files, one module per part."""

@@ -20,17 +20,17 @@ from ctrl_rl_core.geometry.units import (
 from ctrl_rl_core.tasks.schema.parts import Part, Several
 
 MOST_MOVERS = 200
-"""Largest number of movers of a task."""
+"""Maximum number of movers of a task."""
 
 
 class TrackSpec(Part):
-    """Straight lines from point to point, at a constant speed.
+    """Straight lines between points at a constant speed.
 
     Attributes:
-        points: Corners; in a corridor along its path, and to the left of it.
-        spread: Each episode draws each point within this distance [m].
-        speed: Speeds that each episode draws from [m/s].
-        repeat: Behaviour at the last point.
+        points: Corners; in a corridor given along its path and to the left of it.
+        spread: Radius within which each episode draws each point [m].
+        speed: Range from which each episode draws the speed [m/s].
+        repeat: Behaviour at the last point: stop, loop or reverse.
     """
 
     points: Several[Point] = Field(min_length=2, max_length=1000)
@@ -46,11 +46,11 @@ class TrackSpec(Part):
 
 
 class WanderSpec(Part):
-    """Straight lines between free places of the world, which each episode draws.
+    """Straight lines between free positions of the world, drawn for each episode.
 
     Attributes:
-        points: Number of places, after which the mover goes back the same way.
-        speed: Speeds that each episode draws from [m/s].
+        points: Number of positions, after which the mover returns the same way.
+        speed: Range from which each episode draws the speed [m/s].
     """
 
     points: int = Field(default=12, ge=2, le=200)
@@ -58,20 +58,20 @@ class WanderSpec(Part):
 
 
 class FrameSpec(Part):
-    """Where a mover is at a time [s]."""
+    """Position of a mover at a time [s]."""
 
     time: Time
     point: Point
 
 
 class KeyframesSpec(Part):
-    """A motion by key frames, played as it is: through walls, too.
+    """A motion given by key frames, played unchanged, even through walls.
 
-    Between two frames it follows a Catmull-Rom spline, as Gazebo's animations do.
+    Frames are joined by a Catmull-Rom spline, as in Gazebo's animations.
 
     Attributes:
-        frames: Frames; the first is at 0 s.
-        repeat: Whether the motion begins again after the last frame.
+        frames: Key frames; the first is at 0 s.
+        repeat: Whether the motion restarts after the last frame.
     """
 
     frames: Several[FrameSpec] = Field(min_length=2, max_length=10_000)
@@ -93,14 +93,14 @@ class KeyframesSpec(Part):
 
 
 class MoverSpec(Part):
-    """A moving obstacle; nothing that it touches stops it.
+    """A moving obstacle; contacts do not stop it.
 
     Attributes:
         radius: Radius of the cylinder [m].
-        track, wander, keyframes: One of them says where it goes.
-        delay: Times before it starts, from which each episode draws [s].
-        near: It starts only when a robot's middle comes nearer to its own than this [m]; None to start at once.
-        yields: It waits while going on would bring it nearer to a robot than this [m]; None for one that never waits.
+        track, wander, keyframes: Motion; exactly one is given.
+        delay: Range from which each episode draws the start delay [s].
+        near: Distance between a robot's centre and its own that triggers the start [m]; None to start at once.
+        yields: Minimum distance to robots, for which the mover waits [m]; None to never wait.
     """
 
     radius: PositiveLength

@@ -13,7 +13,7 @@ from ctrl_rl_core.tasks.schema.world import RegionSpec
 
 
 class GridSpec(Part):
-    """One axis of the published value grid: nodes over an interval."""
+    """One axis of the published value grid: evenly spaced nodes over an interval."""
 
     interval: str
     count: int = Field(gt=1, le=100_000)
@@ -25,16 +25,16 @@ class OptimalControlSpec(Part):
     Attributes:
         horizon: Number of steps H.
         time_step: Duration of an MPC step [s].
-        gamma: Growth of the state cost per step.
-        discount: Discount per step of the policy, in the value function (Eq. 3.13) and in learning with it.
+        gamma: Growth factor of the state cost per step.
+        discount: Discount factor per policy step, in the value function (Eq. 3.13) and in learning with it.
         state_weight: Weight Q of the squared distance to the goal.
         control_weight: Weight R of the squared controls.
-        trap_weight: Weight W of the squared distance to the trap's middle.
-        clearance: Least distance d_min from the robot's position to an obstacle [m].
+        trap_weight: Weight W of the squared distance to the trap's centre.
+        clearance: Minimum distance d_min from the robot's position to an obstacle [m].
         trajectories: Number of solved trajectories in the value data.
         controls: Control bounds by name.
         bounds: State bounds by name.
-        terminal_set: Set of states that a trajectory must end in; the goal where left out.
+        terminal_set: Set of states in which a trajectory must end; the goal by default.
     """
 
     horizon: int = Field(gt=0, le=10_000)

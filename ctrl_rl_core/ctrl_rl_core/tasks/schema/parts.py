@@ -1,4 +1,4 @@
-"""The base of all parts of a task file, its header, its rewards, and types that several parts use."""
+"""Base class of all parts of a task file, its header, its rewards, and shared types."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Reward = Annotated[float, Field(ge=-1e9, le=1e9)]
 Weight = Annotated[float, Field(gt=0.0, le=1e9)]
 _Entry = TypeVar("_Entry")
 Several = Annotated[tuple[_Entry, ...], Strict(False), Field(max_length=10_000)]
-"""A list in the file, which does not change after reading."""
+"""A list in the file, immutable after reading."""
 
 
 class Part(Schema):
-    """A part of a task file: unknown keys are errors, nothing changes after reading."""
+    """A part of a task file: unknown keys are errors; immutable after reading."""
 
 
 class TaskHeader(Part):
     """Header of every task file.
 
     Attributes:
-        name: Name of the file without suffix.
-        about: Purpose of the robot, in one sentence.
+        name: File name without suffix.
+        about: One sentence on what the robot has to do.
         source: Origin of the task (thesis section, published code).
-        differences: Points in which thesis, published code and this file differ, each with the one that is used.
+        differences: Differences between thesis, published code and this file, each with the choice made.
     """
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
@@ -41,7 +41,7 @@ class TaskHeader(Part):
 
 
 def interval_map(units: Mapping[str, str]) -> BeforeValidator:
-    """Return the validator of a mapping from names to intervals, each in the unit of its name."""
+    """Return a validator for a mapping from names to intervals, each in the unit of its name."""
 
     def parse(value: Any) -> dict[str, Interval]:
         if not isinstance(value, dict):
@@ -62,7 +62,7 @@ def unit_of(name: str, units: Mapping[str, str]) -> str:
     """Return the unit of a name.
 
     Raises:
-        ValueError: There is no such name.
+        ValueError: The name is unknown.
     """
     if name not in units:
         raise ValueError(f"{short_repr(name)}: no such name; there are {', '.join(units) or 'none'}")
@@ -70,7 +70,7 @@ def unit_of(name: str, units: Mapping[str, str]) -> str:
 
 
 class EpisodeSpec(Part):
-    """Length of an episode: steps of a policy at most, and the duration of a step."""
+    """Maximum number of policy steps in an episode, and the duration of a step."""
 
     steps: Steps
     time_step: TimeStep

@@ -1,4 +1,4 @@
-"""Ranges from which each episode in the simulator draws what differs from robot to robot, and is not known."""
+"""Randomised simulation parameters: quantities that vary between robots and are unknown, drawn per episode."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ctrl_rl_core.tasks.schema.parts import interval_map
 
 @dataclass(frozen=True)
 class Condition:
-    """One number that an episode may draw.
+    """One quantity that may be drawn per episode.
 
     Attributes:
-        unit: SI unit of the number.
-        allowed: Least and largest value.
-        wheels: Whether it is about wheels.
+        unit: SI unit.
+        allowed: Minimum and maximum.
+        wheels: Whether it concerns wheels.
     """
 
     unit: str
@@ -36,7 +36,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "scan_dropout": Condition("1", Interval(0.0, 1.0)),
     "odom_drift": Condition("1", Interval(0.0, 0.5)),
 }
-"""Options of the simulation by name; `friction` is that of wheels on the floor, `wheel_radius` true over nominal."""
+"""Simulation parameters by name; `friction`: wheels on floor, `wheel_radius`: ratio of true to nominal."""
 
 
 def _within_limits(ranges: dict[str, Interval]) -> dict[str, Interval]:

@@ -1,4 +1,4 @@
-"""The robot of a task file: its body, and the commands that a policy may give it."""
+"""The robot of a task file: its body and the range of policy commands."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ctrl_rl_core.tasks.schema.parts import Part, interval_map
 from ctrl_rl_core.tasks.schema.system import CONTROL_UNITS
 
 MODEL = "model"
-"""Name of the body that is a disc and moves exactly as the task's system model says."""
+"""Name of the body that is a disc moving exactly as the task's system model."""
 _WORD = re.compile(r"\brobot\b")
 
 
 class RobotSpec(Part):
-    """The body that carries out the commands.
+    """The body that executes the commands.
 
     Attributes:
-        body: Name of a robot, the path of its file, relative to that of the task, or `MODEL`.
-        commands: Bounds of a policy's commands by name; those of the robot where left out. Of a model its two controls.
-        footprint: Radius of the disc that a model is [m]; other bodies have their own size.
+        body: Name of a robot, path of its file relative to the task file, or `MODEL`.
+        commands: Bounds of a policy's commands by name; by default the robot's limits. For `MODEL`, bounds of its two
+            controls.
+        footprint: Radius of the disc for `MODEL` [m]; other bodies have their own size.
         tilt_limit: Pitch beyond which a flying body counts as crashed [rad].
     """
 
@@ -38,7 +39,7 @@ class RobotSpec(Part):
     @model_validator(mode="before")
     @classmethod
     def _own_commands(cls, value: Any, info: ValidationInfo) -> Any:
-        """Take the robot's limits where no commands are named."""
+        """Use the robot's limits if no commands are given."""
         robot = named_robot(value, info)
         if robot is None or robot.kind != "differential_drive" or "commands" in value:
             return value
@@ -47,7 +48,7 @@ class RobotSpec(Part):
     @field_validator("body")
     @classmethod
     def _found(cls, value: str, info: ValidationInfo) -> str:
-        """Refuse an unknown robot, and make a path absolute."""
+        """Reject an unknown robot, and make a path absolute."""
         if value == MODEL:
             return value
         try:
@@ -76,7 +77,7 @@ class RobotSpec(Part):
 
     @property
     def radius(self) -> float:
-        """Radius of a circle around the body's origin that holds all of it [m]."""
+        """Radius of a circle around the body's origin that encloses the body [m]."""
         if self.footprint is not None:
             return self.footprint
         assert self._robot is not None
@@ -84,7 +85,7 @@ class RobotSpec(Part):
 
 
 def named_robot(content: Any, info: ValidationInfo) -> Robot | None:
-    """Return the robot of a task file's part `robot`; None for a model, and where it is wrong, which is said later."""
+    """Return the robot named in the `robot` part; None for a model or an invalid part, which is reported later."""
     body = content.get("body") if isinstance(content, dict) else None
     if not isinstance(body, str) or body == MODEL:
         return None
@@ -95,13 +96,13 @@ def named_robot(content: Any, info: ValidationInfo) -> Robot | None:
 
 
 def limits_of(robot: Robot) -> tuple[str, str]:
-    """Return the commands that a robot on wheels can carry out, as a task file writes them."""
+    """Return the commands that a wheeled robot can execute, in task-file notation."""
     (back, right), (ahead, left) = robot.limits
     return f"{back} .. {ahead} m/s", f"{right} .. {left} rad/s"
 
 
 def with_limits(controls: dict[str, Any], robot: Robot) -> dict[str, Any]:
-    """Return bounds of controls with a robot's limits in place of the word `robot`, as in `v: 0.0 .. robot m/s`."""
+    """Replace the word `robot` in bounds of controls by the robot's limits, as in `v: 0.0 .. robot m/s`."""
     limits = {"v": robot.speed, "omega": robot.turn_rate}
     return {
         name: _WORD.sub(str(limits[name]), text) if isinstance(text, str) and name in limits else text

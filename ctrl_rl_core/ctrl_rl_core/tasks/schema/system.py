@@ -12,19 +12,19 @@ from ctrl_rl_core.systems.system import System, make_system
 from ctrl_rl_core.tasks.schema.parts import Part, unit_of
 
 STATE_UNITS = StateUnits()
-"""Units of the states of system models, and of the coordinates along a corridor's path."""
+"""Units of the states of system models, and of path coordinates along a corridor."""
 CONTROL_UNITS = ControlUnits()
 """Units of the controls of system models."""
 
 
 class SystemSpec(Part):
-    """The model f of the robot for solvers and MPC (thesis Table 3.1).
+    """The robot's model f for solvers and MPC (thesis Table 3.1).
 
     Attributes:
-        model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`, or of one that an installed package offers.
-        parameters: Parameters by name, with units; the model's defaults where left out.
-        controls: Bounds by control name; the model's defaults where left out.
-        states: Bounds by state name, within which the state must stay; the model's own where left out.
+        model: Name of a model in `ctrl_rl_core.SYSTEM_MODELS`, or of a model of an installed package.
+        parameters: Parameters by name, with units; the model's defaults otherwise.
+        controls: Bounds by control name; the model's defaults otherwise.
+        states: Bounds by state name, within which the state must stay; the model's own by default.
     """
 
     model: str
@@ -42,10 +42,10 @@ class SystemSpec(Part):
         return self
 
     def scaled(self, factors: Mapping[str, float]) -> SystemSpec:
-        """Return the same model with some parameters multiplied, by name.
+        """Return the same model with some parameters scaled, by name.
 
         Raises:
-            ValueError: The model has no such parameter, or it cannot have such a value.
+            ValueError: The model has no such parameter, or the resulting value is invalid.
         """
         units = {name: unit_of(name, self._parameter_units()) for name in factors}
         own = self.build().parameters
@@ -57,7 +57,7 @@ class SystemSpec(Part):
         return {parameter.name: parameter.unit for parameter in find_model(self.model).parameters}
 
     def build(self) -> System:
-        """Return the system model with this task's parameters and bounds."""
+        """Create the system model with this task's parameters and bounds."""
         model = find_model(self.model)
         parameter_units = self._parameter_units()
         control_units = {control.name: control.unit for control in model.controls}

@@ -1,4 +1,4 @@
-"""Walls, obstacles and sets of states of a task file."""
+"""Walls, obstacles and sets of states in a task file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ctrl_rl_core.tasks.schema.system import STATE_UNITS
 
 
 class ArenaSpec(Part):
-    """The rectangle that the robot stays in: x, and y or z; walls of the given thickness stand around it."""
+    """The rectangle that confines the robot (x, and y or z), surrounded by walls of the given thickness."""
 
     x: LengthInterval
     y: LengthInterval | None = None
@@ -47,30 +47,30 @@ class ArenaSpec(Part):
 
 
 class StraightSpec(Part):
-    """A straight piece of path."""
+    """A straight path segment."""
 
     straight: PositiveLength
 
     def arc(self) -> Arc:
-        """Return the piece."""
+        """Return the segment as an arc."""
         return Arc(self.straight, 0.0)
 
 
 class TurnSpec(Part):
-    """A turn by an angle, positive to the left, at a radius."""
+    """A path segment that turns by an angle, positive to the left, at a radius."""
 
     turn: Angle
     radius: PositiveLength
 
     def arc(self) -> Arc:
-        """Return the piece."""
+        """Return the segment as an arc."""
         return Arc(abs(self.turn) * self.radius, math.copysign(1.0 / self.radius, self.turn))
 
 
 class CorridorSpec(Part):
-    """Two walls along a path; closed behind the start, open at the end.
+    """Two walls along a path, closed behind the start and open at the end.
 
-    Regions of such a task are in path coordinates: s along it [m], lateral to the left of it [m], heading
+    The task's regions are in path coordinates: s along it [m], lateral to the left of it [m], heading
     relative to it [rad].
     """
 
@@ -88,11 +88,11 @@ class CorridorSpec(Part):
 
     @property
     def path(self) -> ArcPath:
-        """The middle line."""
+        """The centre line."""
         return ArcPath(tuple(piece.arc() for piece in self.pieces))
 
     def walls(self, width: float) -> tuple[Box, ...]:
-        """Return the walls at a free width [m], with the one behind the start."""
+        """Return the walls at a free width [m], including the wall behind the start."""
         cap = Box((-0.5 * self.wall_thickness, 0.0), (self.wall_thickness, width + 2 * self.wall_thickness))
         return (cap, *self.path.walls(width, self.wall_thickness))
 
@@ -101,10 +101,10 @@ class DoorwaySpec(Part):
     """Partitions across a corridor at equal distances, each with one doorway.
 
     Attributes:
-        spacing: Distance along the path between partitions, and to the first from the path's beginning [m].
-        shift: Distance along the path by which an episode moves a partition at most, either way [m].
+        spacing: Distance along the path between partitions, and from its beginning to the first one [m].
+        shift: Maximum random shift of a partition along the path, either way [m].
         width: Free width of a doorway, drawn for each [m].
-        offset: Distance of a doorway's middle to the left of the path, drawn for each [m].
+        offset: Offset of a doorway's centre to the left of the path, drawn for each [m].
         thickness: Thickness of a partition [m].
     """
 
@@ -124,16 +124,16 @@ class DoorwaySpec(Part):
 
     @property
     def reach(self) -> float:
-        """Largest distance of a doorway's side from the path [m]."""
+        """Maximum distance of a doorway's side from the path [m]."""
         return max(-self.offset.low, self.offset.high) + 0.5 * self.width.high
 
     def partitions(self, corridor: CorridorSpec, width: float, random: np.random.Generator | None) -> Iterator[Box]:
-        """Yield two boxes for each doorway.
+        """Yield two boxes per doorway.
 
         Args:
-            corridor: Corridor that they stand in.
+            corridor: Corridor of the doorways.
             width: Free width of the corridor [m].
-            random: Generator of places and widths; None for the middle of their ranges.
+            random: Random generator of positions and widths; None for the midpoints of their ranges.
         """
         path, outside = corridor.path, 0.5 * width + corridor.wall_thickness
         for index in range(1, int(path.length / self.spacing + 0.5)):
@@ -149,10 +149,10 @@ class DoorwaySpec(Part):
 
 
 class MapSpec(Part):
-    """A place by its occupancy map: the YAML file of a map in map_server's form. Its occupied cells are walls.
+    """A place given by its occupancy map, a YAML file as for map_server; occupied cells are walls.
 
     Attributes:
-        file: Path of the YAML file; in a task file relative to that file.
+        file: Path of the YAML file, relative to the task file.
     """
 
     file: str = Field(exclude=True)
@@ -179,13 +179,13 @@ class MapSpec(Part):
 
     @computed_field
     def content(self) -> str:
-        """SHA-256 (hex) of the map's cells and place, wherever its file lies."""
+        """SHA-256 (hex) of the map's cells and pose, independent of the file's location."""
         place = repr((self.map.cells.shape, self.map.resolution, self.map.origin))
         return sha256(self.map.cells.tobytes() + place.encode()).hexdigest()
 
     @property
     def bounds(self) -> tuple[Interval, Interval]:
-        """Least and largest x and y of the map [m]."""
+        """Minimum and maximum x and y of the map [m]."""
         rows, columns = self.map.cells.shape
         corners = self.map.cell_to_world((-0.5, -0.5, rows - 0.5, rows - 0.5), (-0.5, columns - 0.5) * 2)
         (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
@@ -212,7 +212,7 @@ class DiscSpec(Part):
 
 
 class ObstacleSpec(Part):
-    """A fixed obstacle: a box or a disc."""
+    """A static obstacle: a box or a disc."""
 
     box: BoxSpec | None = None
     disc: DiscSpec | None = None
@@ -225,7 +225,7 @@ class ObstacleSpec(Part):
 
     @property
     def shape(self) -> Shape:
-        """Its geometry."""
+        """Geometry of the obstacle."""
         if self.box is not None:
             return Box(self.box.centre, self.box.size)
         assert self.disc is not None
