@@ -294,15 +294,38 @@ def cut_off() -> Callable[[Callable[..., Any], Any, Any], None]:
 @pytest.fixture(scope="module")
 def runs_here() -> Iterator[None]:
     """Let commands train in this process; that runs get through to others is shown by ctrl_rl_learning's tests."""
-    from ctrl_rl_learning.study import matrix
+    from ctrl_rl_learning.study import train
 
     def train_all(todo: list[Any], options: Any, *_: object) -> None:
         for run in todo:
-            matrix.train(pickle.loads(pickle.dumps(run)), options)  # noqa: S301 as a worker gets it
+            train(pickle.loads(pickle.dumps(run)), options)  # noqa: S301 as a worker gets it
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(matrix, "_in_processes", train_all)
+        patch.setattr("ctrl_rl_learning.study.matrix._in_processes", train_all)
         yield
+
+
+@pytest.fixture
+def update_every(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Give a function that lets PPO and TRPO update after some samples instead of thousands."""
+    return lambda samples: monkeypatch.setattr("ctrl_rl_learning.sb3.algorithms.ROLL_OUT", samples)
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
+    """Give the faults of each picture that is written while the test runs, by its title."""
+    from matplotlib.figure import Figure
+    from picture_faults import faults_of
+
+    found: dict[str, list[str]] = {}
+    write = Figure.savefig
+
+    def savefig(figure: Figure, file: Any, **options: Any) -> None:
+        write(figure, file, **options)
+        found[f"{len(found)}: {figure.get_suptitle()}"] = faults_of(figure)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    return found
 
 
 @pytest.fixture

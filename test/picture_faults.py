@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
-from ctrl_rl_core.plots import SMALL
-from ctrl_rl_core.plots.roles import FULL, HALF
-from ctrl_rl_core.plots.words import covers, line_points
+from ctrl_rl_core.plots import FULL, HALF, SMALL, covers, line_points
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
 COLUMN = 688.0
 """Width of the page's column [pixels]; a picture as wide as it is has 7 inches."""
+
+
+def figures_of(name: str, kind: type[Any]) -> Any:
+    """Return the figures of committed results."""
+    from ctrl_rl_learning.study import read_figures
+
+    return read_figures(RESULTS / f"{name}.json", kind)
+
+
+def assert_clean(drawn: Mapping[str, Sequence[str]]) -> None:
+    """Assert that pictures were drawn, and nothing is wrong with them."""
+    assert drawn
+    assert {name: faults for name, faults in drawn.items() if faults} == {}
 
 
 def faults_of(figure: Figure) -> list[str]:

@@ -2,51 +2,21 @@
 
 import json
 import re
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from ctrl_rl_core.plots import Line, Panel, draw_learning, draw_path, draw_paths, picture, word_at
 from matplotlib.figure import Figure
-from picture_faults import faults_of
+from picture_faults import RESULTS, ROOT, assert_clean, figures_of
 
-from ctrl_rl_core import Axis, ValueGrid, load_navigation_task
-
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "docs" / "results"
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """Faults of each picture that is written while the test runs, by its title."""
-    found = {}
-    write = Figure.savefig
-
-    def savefig(figure, file, **options):
-        write(figure, file, **options)
-        found[f"{len(found)}: {figure.get_suptitle()}"] = faults_of(figure)
-
-    monkeypatch.setattr(Figure, "savefig", savefig)
-    return found
-
-
-def assert_clean(drawn):
-    assert drawn
-    assert {name: faults for name, faults in drawn.items() if faults} == {}
-
-
-def read(name, kind):
-    from ctrl_rl_learning.study import read_figures
-
-    return read_figures(RESULTS / f"{name}.json", kind)
+from ctrl_rl_core import load_navigation_task
 
 
 @pytest.mark.parametrize("learner", ["ppo", "sac"])
 def test_the_ladder(drawn, tmp_path, learner):
     from ctrl_rl_trials.ladder import LadderFigures, draw_ladder
 
-    assert len(draw_ladder(read("ladder", LadderFigures), learner, tmp_path)) == 2
+    assert len(draw_ladder(figures_of("ladder", LadderFigures), learner, tmp_path)) == 2
     assert_clean(drawn)
 
 
@@ -57,120 +27,11 @@ def test_the_tasks_of_the_ladder(drawn, tmp_path):
     assert_clean(drawn)
 
 
-@pytest.mark.parametrize("name", ["car_ttr", "quad_ttr"])
-def test_learning_by_the_time_to_reach(drawn, tmp_path, name):
-    from ttr_reward_node.training.plots import Learning, draw_all
-
-    figures = read(f"ttr_training_{name}", Learning)
-    assert len(list(draw_all(figures, load_navigation_task(name), "ppo", tmp_path))) == 4
-    assert_clean(drawn)
-
-
-@pytest.mark.parametrize("name", ["car_navigation", "quad_navigation", "quad_trap"])
-def test_learning_with_optimal_control(drawn, tmp_path, name):
-    from oc_baseline_node.training.plots import Learning, draw_all
-
-    list(draw_all(read(f"oc_training_{name}", Learning), load_navigation_task(name), tmp_path))
-    assert_clean(drawn)
-
-
 def test_mpc_in_the_simulator(drawn, tmp_path):
     paths = json.loads((RESULTS / "oc_mpc_quad_navigation.json").read_text())["figures"]["paths"]
     draw_paths(tmp_path / "mpc.png", "MPC in the simulator", load_navigation_task("quad_navigation"), paths)
     corridor = [{"outcome": "COLLISION", "states": [[0.0, 0.0, 0.0], [0.3, 0.1, 0.0]]}]
     draw_paths(tmp_path / "corridor.png", "A corridor", load_navigation_task("curved_corridor"), {"MPC": corridor})
-    assert_clean(drawn)
-
-
-@pytest.mark.parametrize("name", ["tool_delivery", "water_filling", "delivery_team", "water_filling_long"])
-def test_learning_of_options(drawn, tmp_path, name):
-    from option_coordinator.training.plots import Learning, draw_curves
-
-    draw_curves(read(f"options_{name}", Learning), tmp_path / "options.svg")
-    assert_clean(drawn)
-
-
-@pytest.mark.parametrize(
-    "file",
-    [*RESULTS.glob("koopman_figure*.json"), RESULTS / "koopman_last_policy.json", RESULTS / "koopman_cheetah_run.json"],
-    ids=lambda file: file.stem,
-)
-def test_learning_of_koopman_policies(drawn, tmp_path, file):
-    from koopman_lqr_controller.training.experiments.plots import draw
-
-    draw(file, tmp_path / "koopman.svg")
-    assert_clean(drawn)
-
-
-@pytest.mark.parametrize("folder", [file.parent for file in ROOT.glob("docs/analysis/*/analysis.json")])
-def test_analyses(drawn, tmp_path, folder):
-    from koopman_lqr_controller.training.analysis.plots import draw_all
-
-    assert draw_all(json.loads((folder / "analysis.json").read_text()), tmp_path)
-    assert_clean(drawn)
-
-
-def test_values(drawn, tmp_path):
-    from ttr_reward_node.plots import draw_slices
-
-    task = load_navigation_task("car_ttr")
-    axes = [Axis("x", "m", -5.0, 5.0, 21), Axis("y", "m", -5.0, 5.0, 21), Axis("theta", "rad", -np.pi, np.pi, 8, True)]
-    x, y = np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij")
-    distance = np.repeat(np.hypot(x - 4.0, y - 4.0)[..., None], 8, axis=2)
-    time = ValueGrid(distance.astype(np.float32), tuple(axes), "time_to_reach", task.name, "0" * 64, "none", 0.0)
-    draw_slices(time, task, tmp_path / "time.png")
-    draw_slices(replace(time, kind="avoid", values=time.values - 5.0), task, tmp_path / "safe.png")
-    assert_clean(drawn)
-
-
-def test_optimal_control_value(drawn, tmp_path):
-    from oc_baseline_node.plots import draw_heat_map
-
-    from oc_baseline_node import find_value, load_value
-
-    task = load_navigation_task("car_navigation")
-    draw_heat_map(load_value(find_value("car_navigation")), task, tmp_path / "value.png", cells=40)
-    assert_clean(drawn)
-
-
-def test_cost_of_the_solver(drawn, tmp_path):
-    from ttr_reward_node.plots.cost import draw_cost
-
-    rows = {}
-    for row in json.loads((RESULTS / "ttr_cost.json").read_text())["rows"]:
-        system, _, points = row["method"].rpartition(", ")
-        if row["metric"] == "CPU time":
-            rows[row["method"]] = {"system": system, "points": int(points.split()[0].replace(",", "")),
-                                   "cpu_s": row["mean"], "method": "semi_lagrangian"}  # fmt: skip
-    draw_cost(list(rows.values()), tmp_path / "cost.svg")
-    assert_clean(drawn)
-
-
-def test_a_drive_and_a_team(drawn, tmp_path):
-    from ctrl_rl_bringup.corridor.surroundings import FilterRecord, MoverTrack
-    from option_coordinator.environments import Span
-
-    from ctrl_rl_bringup import DriveReport, TeamConfig, TeamRun, draw_drive, draw_team
-    from option_coordinator import load_team
-
-    times = np.linspace(0.0, 20.0, 101)
-    path = load_navigation_task("curved_corridor").build_world().path
-    truth = np.column_stack((times, path.pose(times / 5.0)[:, :2]))
-    columns = np.column_stack((times, 0.2 + 0.0 * times, np.sin(times)))
-    mover = MoverTrack(0.15, np.column_stack((times, 2.0 - 0.1 * times, 0.0 * times)))
-    record = FilterRecord(times, np.where(times > 10.0, 2, 1), columns[:, 1:], 0.5 * columns[:, 1:], 0.1 + 0.0 * times)
-    report = DriveReport(
-        "curved_corridor", None, 1, 20.0, 0, 0.1, truth, truth, columns[:, :2], columns, columns, columns[:, [0, 2]],
-        np.array([0.01]), 100, 0, columns, None, (mover,), record,
-    )  # fmt: skip
-    draw_drive(report, tmp_path / "path.png")
-    team = load_team("delivery_team")
-    names = tuple(team.robots)
-    spans = tuple(Span(name, option, 10.0 * k, 10.0 * k + 9.0, k < 2)
-                  for name in names for k, option in enumerate(list(team.options)[:3]))  # fmt: skip
-    paths = {name: np.column_stack((np.linspace(-1.0, 1.0, 20), np.full(20, 0.3 * k))) for k, name in enumerate(names)}
-    run = TeamRun(names, "spread", spans, True, 30.0, 9, 30.0, {}, paths, 0.1, np.array([0.01]), 10, 0)
-    draw_team(run, load_navigation_task(TeamConfig(tmp_path).task), team, tmp_path / "team.png")
     assert_clean(drawn)
 
 

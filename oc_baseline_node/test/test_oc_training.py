@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_learning.sb3 import algorithms
 from ctrl_rl_learning.study import RunOptions
 from ctrl_rl_learning.study import train as train_run
 from oc_baseline_node.training.cli import plot, train
@@ -28,8 +27,8 @@ SHORT = {"iterations": 2, "samples": ROLL_OUT, "evaluations": 1, "final_evaluati
 
 
 @pytest.fixture(autouse=True)
-def _short_roll_outs(monkeypatch):
-    monkeypatch.setattr(algorithms, "ROLL_OUT", ROLL_OUT)
+def _short_roll_outs(update_every):
+    update_every(ROLL_OUT)
 
 
 def own_task(folder, of, *changes, name=None):

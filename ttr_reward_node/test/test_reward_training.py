@@ -1,14 +1,13 @@
 """Learning with the rewards of Table 3.3: the wrapper pays them, runs are collected into table and pictures."""
 
 import json
-import sys
 from contextlib import suppress
 
 import gymnasium
 import numpy as np
 import pytest
-from ctrl_rl_learning.cli.evaluate import evaluate
-from ctrl_rl_learning.sb3 import FleetEnvironments, Visits, algorithms
+from commands import command
+from ctrl_rl_learning.sb3 import REWARD_SCALE, FleetEnvironments, Visits
 from ctrl_rl_learning.study import RunOptions, samples_to
 from ctrl_rl_learning.study import train as train_run
 from ttr_reward_node.rewards.progress import PER_SECOND, TimeToReach
@@ -56,14 +55,14 @@ def test_a_fleet_is_paid_what_one_robot_is():
         _, paid, over, infos = fleet.step(random.uniform(-1.0, 1.0, (fleet.num_envs, 2)))
         states = np.array([info["state"] for info in infos])
         outcomes = [Outcome[info["outcome"]] for info in infos]
-        np.testing.assert_allclose(paid, algorithms.REWARD_SCALE * reward(states, outcomes), rtol=1e-5)
+        np.testing.assert_allclose(paid, REWARD_SCALE * reward(states, outcomes), rtol=1e-5)
         ended |= {outcome for outcome, done in zip(outcomes, over, strict=True) if done}
     assert Outcome.COLLISION in ended
     assert RewardRun("car_ttr", "ppo", "sparse", 0, engine="auto").in_fleet is False
 
 
-def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(algorithms, "ROLL_OUT", ROLL_OUT)
+def test_runs_become_a_table_and_pictures(tmp_path, capsys, update_every):
+    update_every(ROLL_OUT)
     runs = reward_runs("quad_ttr", ("ppo",), ("sparse", "distance_10"), 2)
     for run in runs:
         train_run(run, RunOptions(tmp_path, 2, ROLL_OUT, 1, 2))
@@ -85,11 +84,9 @@ def test_runs_become_a_table_and_pictures(tmp_path, capsys, monkeypatch):
         "quad_ttr_visits.png",
     ]
     assert "ppo, sparse" in capsys.readouterr().out
-    monkeypatch.setattr(
-        sys, "argv", ["evaluate", str(tmp_path / runs[0].name / "policy.safetensors"), "--episodes", "2"]
-    )
-    assert evaluate() == 0
-    assert "episodes   2 of quad_ttr, from seed 0" in capsys.readouterr().out
+    policy = tmp_path / runs[0].name / "policy.safetensors"
+    answer = command("evaluate", policy, "--episodes", 2, package="ttr_reward_node")
+    assert "episodes   2 of quad_ttr, from seed 0" in answer.stdout, answer.stderr
 
 
 def test_visits_of_a_corridor_are_drawn_as_well(tmp_path):

@@ -20,8 +20,10 @@ from ctrl_rl_core.plots.roles import (
     COUNTS,
     DANGER,
     FAINT,
+    FULL,
     GOAL,
     GREY_MAP,
+    HALF,
     METHODS,
     OURS_COLOUR,
     ROBOTS,
@@ -35,15 +37,17 @@ from ctrl_rl_core.plots.roles import (
 )
 from ctrl_rl_core.plots.series import Series, draw_series
 from ctrl_rl_core.plots.style import legend_below, map_beside, picture, save_figure, set_title, style
-from ctrl_rl_core.plots.words import name_at_end, word_at, write_small
+from ctrl_rl_core.plots.words import covers, line_points, name_at_end, word_at, write_small
 
 __all__ = [
     "BLACK",
     "COUNTS",
     "DANGER",
     "FAINT",
+    "FULL",
     "GOAL",
     "GREY_MAP",
+    "HALF",
     "METHODS",
     "MOST_LINES",
     "OURS_COLOUR",
@@ -59,6 +63,7 @@ __all__ = [
     "Series",
     "Style",
     "best_of",
+    "covers",
     "draw_counts",
     "draw_ends",
     "draw_landmark",
@@ -75,6 +80,7 @@ __all__ = [
     "greys",
     "legend_below",
     "line_of",
+    "line_points",
     "map_beside",
     "mark_clearance",
     "moving_picture",
