@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ctrl_rl_bags.datasets import MessageMaker
 from ctrl_rl_safety.cli.identify import main
-from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
-from rclpy.serialization import serialize_message
 
-from ctrl_rl_bags import BagWriter, Topic, message_definition
-from ctrl_rl_core import load_navigation_task
+from ctrl_rl_bags import BagWriter
+from ctrl_rl_core import load_navigation_task, make_odometry
 from ctrl_rl_safety import RobotModel, find_model
 
 pytest.importorskip("sim_bridge")
@@ -21,31 +19,29 @@ from ctrl_rl_safety.trials.episodes import CAR
 from ctrl_rl_safety.trials.robot import MOTOR_LAG, TICK, Base
 from ctrl_rl_safety.trials.sources import Random
 from ctrl_rl_safety.trials.worlds import room
-from sim_bridge.ros.publishers import fill_odometry
 
-from sim_bridge import SimulatedWorld, SimulationOptions
+from sim_bridge import OdometryReading, SimulatedWorld, SimulationOptions
 
 KNOWN = RobotModel("known", 0.177, 0.6, 0.3, 1.5, 0.8, 1.2, 2.5, 0.05, 0.15)
 PERIOD = 0.05
-KINDS = {"/cmd_vel": ("geometry_msgs/msg/Twist", Twist), "/odom": ("nav_msgs/msg/Odometry", Odometry)}
+KINDS = {"/cmd_vel": "geometry_msgs/msg/Twist", "/odom": "nav_msgs/msg/Odometry"}
 
 
 class Recording:
     """A bag of commands and odometry."""
 
     def __init__(self, folder: Path, topics: tuple[str, ...] = tuple(KINDS)) -> None:
-        self.writer = BagWriter(folder)
+        self.writer, self._make = BagWriter(folder), MessageMaker()
         for name in topics:
-            kind = KINDS[name][0]
-            self.writer.add_topic(Topic(name, kind, message_definition(kind)))
+            self.writer.add_topic(self._make.topic(name, KINDS[name]))
 
     def command(self, time: float, v: float, omega: float) -> None:
-        message = Twist()
-        message.linear.x, message.angular.z = v, omega
-        self.put("/cmd_vel", time, message)
+        stamp = round(1e9 * time)
+        self.writer.write("/cmd_vel", self._make.command(stamp, (v, omega), KINDS["/cmd_vel"]), 10**12 + stamp)
 
-    def put(self, topic: str, time: float, message: object) -> None:
-        self.writer.write(topic, bytes(serialize_message(message)), 10**12 + round(1e9 * time))
+    def odometry(self, time: float, reading: OdometryReading) -> None:
+        stamp, numbers = round(1e9 * time), make_odometry(reading.pose, reading.velocity)
+        self.writer.write("/odom", self._make.odometry(stamp, numbers), 10**12 + stamp)
 
 
 def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]], hold: float = 1.5) -> Path:
@@ -54,13 +50,12 @@ def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]],
         room("boxes", "turtlebot2", dataclasses.replace(model, speed=1.0), 0),
         options=SimulationOptions(engine="planar", rate=200, motor_lag=MOTOR_LAG),
     )
-    base, recording, odometry = Base(model, 1.0 / 200), Recording(folder), Odometry()
+    base, recording = Base(model, 1.0 / 200), Recording(folder)
     with recording.writer:
         for v, omega in commands:
             for _ in range(round(hold / PERIOD)):
                 now = world.elapsed
-                fill_odometry(odometry, "xy", round(1e9 * now), world.odometry())
-                recording.put("/odom", now, odometry)
+                recording.odometry(now, world.odometry())
                 recording.command(now, v, omega)
                 base.send(now, np.array((v, omega)))
                 for _ in range(round(PERIOD * 200)):

@@ -8,7 +8,7 @@ import logging
 import traceback
 from argparse import Namespace
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cache
 from io import StringIO
@@ -19,8 +19,6 @@ import _mutations
 import numpy as np
 from _attack import Attack
 from _mutations import Mutate, broken
-from ctrl_rl_core.io.results_page import benchmark_lines
-from ctrl_rl_core.tasks.task import FOLDER
 
 from ctrl_rl_core import (
     Axis,
@@ -29,8 +27,8 @@ from ctrl_rl_core import (
     ValueGrid,
     load_navigation_task,
     load_task,
-    read_benchmarks,
     results_page,
+    task_file,
     task_names,
     write_results,
 )
@@ -92,8 +90,7 @@ def attack(kind: Kind, count: int) -> Callable[[np.random.Generator, Path], None
 
 
 def _tasks(folder: Path) -> list[Path]:
-    files = [FOLDER / f"{name}.yaml" for name in task_names()]
-    return [_copy(file, folder) for file in files]
+    return [_copy(task_file(name), folder) for name in task_names()]
 
 
 def _load_task(path: Path) -> None:
@@ -192,13 +189,12 @@ def _load_decomposed(path: Path) -> None:
 
 
 def _value_data(folder: Path) -> list[Path]:
-    from ctrl_rl_core.io import with_digest
-    from oc_baseline_node.value_data.dataset import chunk_file, description, write_chunk
+    from oc_baseline_node.value_data import open_folder, write_chunk
 
     from oc_baseline_node import DataSettings, ValueData
 
-    problem, random = _problem(), np.random.default_rng(0)
-    (folder / "settings.json").write_text(json.dumps(with_digest(description(problem, DataSettings(2)))))
+    random = np.random.default_rng(0)
+    open_folder(folder, _problem(), DataSettings(2))
     data = ValueData(
         random.random((2, 5, 3)),
         random.random((2, 4, 2)),
@@ -210,7 +206,7 @@ def _value_data(folder: Path) -> list[Path]:
         np.ones(1),
     )
     write_chunk(folder, 0, data)
-    return [chunk_file(folder, 0)]
+    return list(folder.glob("*.npz"))
 
 
 def _load_value_data(path: Path) -> None:
@@ -231,17 +227,16 @@ def _problem() -> Any:
 
 
 def _teams(folder: Path) -> list[Path]:
-    from option_coordinator.teams.team_file import FOLDER as TEAMS
+    from option_coordinator import team_file
 
-    return [_copy(TEAMS / "delivery_team.yaml", folder)]
+    return [_copy(team_file("delivery_team"), folder)]
 
 
 def _load_team(path: Path) -> None:
-    from option_coordinator.teams.team_file import is_team
+    from option_coordinator import load_option_task, load_team
 
-    from option_coordinator import load_team
-
-    is_team(str(path))
+    with suppress(CtrlRlError):  # it may be taken for a task of another kind
+        load_option_task(str(path))
     load_team(str(path))
 
 
@@ -301,7 +296,7 @@ KINDS = (
         _mutations.change_json,
         _draw("ttr_reward_node.training.cli", "_figures"),
     ),
-    Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: benchmark_lines(read_benchmarks(path))),
+    Kind("benchmarks", _benchmarks, _mutations.change_json, lambda path: results_page(path.parent)),
 )
 
 ATTACKS = tuple(

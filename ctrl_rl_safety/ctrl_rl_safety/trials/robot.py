@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from sim_bridge.simulation.robot import begin
+from sim_bridge.simulation import begin_episode
 
 from ctrl_rl_core import Filter, Outcome, Sensors
 from ctrl_rl_safety.models.motion import STANDS, motion_of, next_speeds
@@ -105,7 +105,7 @@ class TrialRobot:
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
         """Begin the episode of a seed, unless the world stands at its start."""
-        begin(self.world, seed)
+        begin_episode(self.world, seed)
         self._begin()
         return self._shown(self.world.rest, self._looks), self._info()
 

@@ -73,7 +73,7 @@ class SimulatedRobot:
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
         """Begin the episode of a seed, unless the world stands at its start."""
-        begin(self.world, seed)
+        begin_episode(self.world, seed)
         self._stood, self._senses = 0.0, RobotSenses(self.world, self._goal)
         return self._senses(self.world.rest), self._info()
 
@@ -101,7 +101,7 @@ class SimulatedRobot:
         }
 
 
-def begin(world: SimulatedWorld, seed: int) -> None:
+def begin_episode(world: SimulatedWorld, seed: int) -> None:
     """Begin the episode of a seed in a world, unless it stands at the start of that one."""
     if world.seed != seed or world.steps:
         world.reset(seed)
