@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from ctrl_rl_core.io import read_json
-from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, train
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
@@ -24,6 +23,8 @@ from koopman_lqr_controller.training.experiments.results import collect_last
 from koopman_lqr_controller.training.experiments.runs import LearningRun
 from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
 from short_suite import STEPS
+
+from ctrl_rl_learning import LearningError
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
 TINY = (("batch", 16), ("first_steps", 15), ("hidden", 16), ("latent", 6))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from ctrl_rl_core.io import checked_arrays, checked_json, checked_tensors
+from ctrl_rl_core.io import encode_arrays, encode_tensors, with_digest
 
 Random = np.random.Generator
 Mutate = Callable[[bytes, Random], bytes]
@@ -117,7 +117,7 @@ def change_json(content: bytes, random: Random) -> bytes:
     if what < 0.1 and old is not None:
         plain["sha256"] = old
     elif what < 0.6:
-        plain = checked_json.with_digest(plain)
+        plain = with_digest(plain)
     text = json.dumps(plain)
     return _double_key(text, random).encode() if what > 0.95 else text.encode()
 
@@ -168,7 +168,7 @@ def change_tensors(content: bytes, random: Random) -> bytes:
     else:
         _change_tensor(tensors, random)
     if random.random() < 0.5 and isinstance(header, dict):
-        return checked_tensors.encode_tensors(tensors, key, header)
+        return encode_tensors(tensors, key, header)
     from safetensors.numpy import save
 
     return bytes(save({n: np.ascontiguousarray(t) for n, t in tensors.items()}, metadata={key: json.dumps(header)}))
@@ -201,7 +201,7 @@ def change_arrays(content: bytes, random: Random) -> bytes:
         arrays = {name: archive[name] for name in archive.files if name != "sha256"}
     _change_tensor(arrays, random)
     if random.random() < 0.5:
-        return checked_arrays.encode_arrays(arrays)
+        return encode_arrays(arrays)
     buffer = io.BytesIO()
     if random.random() < 0.2:
         arrays["reasons"] = np.array([{"a": 1}], dtype=object)

@@ -48,7 +48,7 @@ from ctrl_rl_core import (
 )
 from ctrl_rl_msgs.msg import EpisodeStatus, RotorThrusts, TaskOutcome
 from ctrl_rl_msgs.srv import ResetWorld, StepWorld
-from sim_bridge import SimulationOptions
+from sim_bridge import NavigationEnv, SimulationOptions
 
 POLICY = "curved_corridor"
 """The policy whose latency is taken: the largest observation of those that ship."""
@@ -91,8 +91,6 @@ def in_environment(policy: str, seeds: range) -> list[bool]:
 
     A policy that decides at each scan has none of its own: it drives in one process, without ROS's transport.
     """
-    from sim_bridge.environments import NavigationEnv
-
     task = POLICIES[policy]
     driver, world, settings = load_policy(find_policy(policy)), load_navigation_task(task), SimulationOptions()
     if driver.period is None:

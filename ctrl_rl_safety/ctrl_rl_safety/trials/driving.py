@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from ctrl_rl_core.driving import drive as loop
 from ctrl_rl_core.policies import policy_of
 from numpy.typing import NDArray
 
@@ -26,6 +25,7 @@ from ctrl_rl_core import (
     load_navigation_task,
     load_policy,
 )
+from ctrl_rl_core import drive as drive_episodes
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.trials.episodes import RATE, RATES, filter_of, goal_for, model_of, period_of
@@ -88,7 +88,7 @@ def drive(
         if model is not None and filter == "safety":
             make_filter = lambda: filter_of(world, model, FilterOptions(period=TICK))  # noqa: E731
         robot = TrialRobot(world, model, make_filter, period=period, goal=goal)
-        return loop.drive(robot, driver, None if isinstance(filter, str) else filter, seeds)
+        return drive_episodes(robot, driver, None if isinstance(filter, str) else filter, seeds)
     finally:
         world.close()
 

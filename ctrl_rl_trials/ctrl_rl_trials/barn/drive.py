@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from ctrl_rl_core.driving import drive as loop
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Driver, Filter, Outcome, Sensors, find_robot
+from ctrl_rl_core import drive as drive_episodes
 from ctrl_rl_trials.barn.scenarios import LIMIT, Scenario
 from sim_bridge import SimulatedRobot, SimulatedWorld, SimulationOptions
 
@@ -140,7 +140,7 @@ def drive(
     world = SimulatedWorld(scenario.task, seed, options=options)
     try:
         robot = BarnRobot(scenario, world)
-        loop.drive(robot, driver, check, seeds=(seed,))
+        drive_episodes(robot, driver, check, seeds=(seed,))
         if trace is not None:
             trace += robot.trace
         return robot.ended()

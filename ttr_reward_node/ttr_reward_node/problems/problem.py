@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io import checked_json
+from ctrl_rl_core.io import digest
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import Axis, Interval, Region, System, position_indices
@@ -260,4 +260,4 @@ class TimeToReachProblem:
             content["clearance"] = [list(self.clearance.axes), hashlib.sha256(values.tobytes()).hexdigest()]
         if limits := tighter_limits(system, self.axes):  # likewise
             content["limits"] = limits
-        return checked_json.digest(content)
+        return digest(content)

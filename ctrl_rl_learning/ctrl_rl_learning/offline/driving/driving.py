@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from ctrl_rl_bags.datasets import DriveWriter, EpisodeFrames, Frames, Layout, ScanLayout, Step, no_goal
-from ctrl_rl_core.driving import drive as loop
 from ctrl_rl_core.sensing import planar
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Episode, NavigationTask, Outcome, Sensors, task_digest, terminal_reward
+from ctrl_rl_core import Step as DriveStep
+from ctrl_rl_core import drive as drive_episodes
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.driving.drivers import RandomDriver
 from ctrl_rl_learning.sb3.environment import usual_rate
@@ -87,7 +88,7 @@ def drive(
         for number in range(episodes):
             driver.begin(np.random.default_rng((seed + number, 1)))
             recording = _Recording(layout, place, time)
-            found += loop.drive(robot, driver, seeds=(seed + number,), watch=recording.note)
+            found += drive_episodes(robot, driver, seeds=(seed + number,), watch=recording.note)
             time += round(found[-1].steps * task.episode.time_step * 1e9) + _PAUSE_NS
             if writer is not None:
                 for frames in recording.end():
@@ -110,7 +111,7 @@ class _Recording:
         self._step = round((layout.period or 0.0) * 1e9)
         self._pieces: list[Frames] = []
 
-    def note(self, step: loop.Step[Sensors]) -> None:
+    def note(self, step: DriveStep[Sensors]) -> None:
         """Take a state of the episode."""
         sensors, outcome = step.sensors, int(Outcome[step.info["outcome"]])
         row = Step(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.io import checked_json
+from ctrl_rl_core.io import digest
 from ctrl_rl_learning.study import Metric, collect_rows, metric
 
 from ctrl_rl_core import Result
@@ -129,7 +129,7 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
 
 def _terms(result: Mapping[str, Any]) -> str:
     """Return the digest of a run's terms but its seed."""
-    return checked_json.digest({**result["run"], "seed": None})[:16]
+    return digest({**result["run"], "seed": None})[:16]
 
 
 def _shown_after(number: int) -> Callable[[Mapping[str, Any]], float]:
