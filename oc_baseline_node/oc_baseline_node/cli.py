@@ -27,6 +27,7 @@ from ctrl_rl_core.command import (
     make_command,
     name_and_value,
 )
+from ctrl_rl_core.tasks import require
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, load_navigation_task, write_results
@@ -166,7 +167,9 @@ _Command: Any = (
 
 def _terms(options: Extract) -> tuple[NavigationTask, Form, float | None]:
     """Return the task, form and clearance that a problem is formulated from."""
-    return load_navigation_task(options.task), options.form, options.clearance
+    task = load_navigation_task(options.task)
+    require("oc_baseline_node oc data", task)
+    return task, options.form, options.clearance
 
 
 def _extract(options: Extract) -> int:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from ctrl_rl_core.command import OptionalFileToWrite, at_least
+from ctrl_rl_core.tasks import require
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
@@ -290,6 +291,7 @@ def _conditions(run: DriveConfig) -> list[str]:
 
 def _record_drives(options: RecordOptions) -> int:
     # A model of corridors needs several widths: each drive has its own unless one is given.
+    require("ctrl_rl_bringup record_drives", load_navigation_task(options.task))
     own_widths = options.random_width or not options.width
     config = replace(options.config("drives", options.seed), randomise_width=own_widths)
     episodes = record_scripted(config, range(options.seed, options.seed + options.episodes))

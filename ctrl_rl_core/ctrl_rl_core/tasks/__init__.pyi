@@ -1,3 +1,8 @@
+from .capabilities import COMMANDS as COMMANDS
+from .capabilities import can as can
+from .capabilities import require as require
+from .capabilities import unmet as unmet
+from .default_grid import with_grid as with_grid
 from .regions import ANGLES as ANGLES
 from .regions import wrap as wrap
 from .regions import wrap_one as wrap_one

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from ctrl_rl_core.command import NotNegative, OptionalFileToWrite, Positive
+from ctrl_rl_core.tasks import require
 
 from ctrl_rl_core import Result, task_digest, write_results
 from ctrl_rl_learning.errors import LearningError
@@ -83,6 +84,7 @@ def _evaluate_actor(options: EvaluateOptions) -> int:
 
     actor = Actor.load(options.policy)
     task = find_learnt_task(options.policy, str(actor.manifest.get("task")), options.task, LearningError)
+    require("ttr_reward_node evaluate", task)
     for what, ours, sizes, theirs in (
         ("observations", actor.manifest.get("observation"), actor.middle, observation_names(task)),
         ("commands", actor.manifest.get("commands"), actor.low, list(task.robot.commands)),

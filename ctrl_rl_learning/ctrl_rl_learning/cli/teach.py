@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ctrl_rl_core.command import CommandError, FolderToWrite, OptionalFileToWrite
+from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite
+from ctrl_rl_core.tasks import require
 
 from ctrl_rl_core import load_navigation_task
 from ctrl_rl_learning.study.command import ExperimentOptions, Positive, make_command, train_and_collect
@@ -40,8 +41,7 @@ class Teach(ExperimentOptions):
 
 def _teach(options: Teach) -> int:
     task = load_navigation_task(options.task)
-    if task.corridor is None:
-        raise CommandError(f"task '{task.name}' has no corridor: there are curved_corridor and corridor_doorways")
+    require("ctrl_rl_learning teach", task)
     # Torch takes seconds to import: not before the arguments are right.
     from ctrl_rl_learning.dagger.run import TaughtRun, collect
 

@@ -50,10 +50,10 @@ class ScaledObservation(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
 
 def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
     """Return the middle and the unit of each observed component (n,), (n,), in SI units."""
-    if task.arena is None:
-        raise LearningError(f"task '{task.name}' has no arena: only tasks with one can be learnt this way")
+    if task.corridor is not None:
+        raise LearningError(f"task '{task.name}' has a corridor: an arena or a map is needed to learn this way")
     own = {state.name: 0.5 * (state.upper - state.lower) for state in task.system.build().states}
-    places = dict(zip(("x", task.plane[1]), task.arena.bounds, strict=True))
+    places = task.plane_bounds
     middle, unit = [], []
     for name in task.observed_states:
         place = places.get(name)
@@ -83,7 +83,7 @@ def usual_rate(task: NavigationTask, engine: str) -> int:
 def make_environment(
     task: NavigationTask, rate: int | None = None, *wrappers: Any, engine: str = "auto"
 ) -> Environment:
-    """Return the environment of a task in an arena.
+    """Return the environment of a task in an arena or on a map.
 
     Args:
         task: Task with the rewards.
@@ -93,7 +93,7 @@ def make_environment(
 
     Raises:
         SimulationError: the time step of the task is not a whole number of physics steps.
-        LearningError: the task has no arena.
+        LearningError: the task has a corridor.
     """
     options = SimulationOptions(engine=engine, rate=usual_rate(task, engine) if rate is None else rate)
     environment: Environment = NavigationEnv(task, options=options)

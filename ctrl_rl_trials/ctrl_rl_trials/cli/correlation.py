@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite, Positive, make_command
 from ctrl_rl_core.io import as_lines
+from ctrl_rl_core.tasks import require
 
 from ctrl_rl_core import Result, load_navigation_task, write_results
 
@@ -43,6 +44,7 @@ class CorrelationOptions:
 
 def _correlation(options: CorrelationOptions) -> int:
     task = load_navigation_task(options.task)
+    require("ctrl_rl_trials correlation", task)
     from ctrl_rl_trials.offline.correlation import CorrelationSettings, agreements, compare
 
     settings = CorrelationSettings(options.seeds, options.episodes, options.tests)

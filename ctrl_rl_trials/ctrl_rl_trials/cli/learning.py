@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite, OptionalFileToWrite
+from ctrl_rl_core.tasks import require, with_grid
 from ctrl_rl_learning.study import (
     ITERATION,
     ExperimentOptions,
@@ -57,6 +58,8 @@ class Plot(PlotOptions):
 
 def _train(options: Train) -> int:
     tasks = {name: load_ladder_task(name) for name in options.tasks or LADDER}
+    for task in tasks.values():
+        require("ctrl_rl_trials train", task)
     # Torch takes seconds to import: not before the arguments are right.
     from ctrl_rl_learning.study import run_experiments
 
@@ -70,11 +73,12 @@ def _train(options: Train) -> int:
 
     if options.results is not None:
         read_curves(options.results)  # A file that cannot be kept is an error now, not after days.
-    values = {name: find_or_solve(task, options.folder / "values", tell) for name, task in tasks.items()}
+    folder = options.folder / "values"
+    values = {name: find_or_solve(task, folder, tell, with_grid(task)) for name, task in tasks.items()}
     ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS
     workers = options.workers or os.cpu_count() or 1
     mpc_values = {
-        name: find_or_solve_trajectories(task, options.folder / "values", workers)
+        name: find_or_solve_trajectories(task, folder, workers)
         for name, task in tasks.items()
         if any(WAYS[way].needs_mpc for way in ways)
     }

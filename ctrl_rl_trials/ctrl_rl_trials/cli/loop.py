@@ -18,6 +18,7 @@ from ctrl_rl_core.command import (
     some_of,
 )
 from ctrl_rl_core.io import as_lines
+from ctrl_rl_core.tasks import require
 from ctrl_rl_learning.offline import METHODS
 
 from ctrl_rl_core import Result, load_navigation_task, write_results
@@ -60,6 +61,8 @@ class LoopOptions:
 
 def _loop(options: LoopOptions) -> int:
     tasks = {name: load_navigation_task(name) for name in options.tasks}
+    for task in tasks.values():
+        require("ctrl_rl_trials loop", task)
     from ctrl_rl_trials.offline.closed_loop import LoopSettings, run_loop
 
     found: dict[tuple[str, str], list[list[dict[str, Any]]]] = {}

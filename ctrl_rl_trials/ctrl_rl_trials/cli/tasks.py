@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 from ctrl_rl_core.command import FolderToWrite, NotNegative, make_command
+from ctrl_rl_core.tasks import require, with_grid
 
 from ctrl_rl_trials.ladder.task_list import LADDER, PRACTICE, load_ladder_task
 
@@ -19,7 +20,7 @@ class Hardness:
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[TASK ...]")] = ()
     """Names of tasks or task files (default: the ladder)."""
     values: FolderToWrite = Path("runs/ladder/values")
-    """Folder in which times to reach are kept; a task with a `grid` that has none is solved."""
+    """Folder in which times to reach are kept; a task that has none there is solved, if it has a grid."""
     seed: NotNegative = 0
     """Seed of starts and actions."""
 
@@ -34,6 +35,8 @@ class Page:
 
 def _hardness(options: Hardness) -> int:
     tasks = [load_ladder_task(name) for name in options.tasks or (*LADDER, *PRACTICE)]
+    for task in tasks:
+        require("ctrl_rl_trials hardness", task)
     from ctrl_rl_trials.ladder.hardness import SAMPLES, measure_hardness
     from ttr_reward_node import find_or_solve, load_value
 
@@ -41,7 +44,8 @@ def _hardness(options: Hardness) -> int:
         print(line)
 
     for task in tasks:
-        value = load_value(find_or_solve(task, options.values, tell)) if task.grid else None
+        posed = with_grid(task)
+        value = load_value(find_or_solve(task, options.values, tell, posed)) if posed.grid else None
         found = measure_hardness(task, value, seed=options.seed)
         optimal = "not known" if found.optimal is None else f"{found.optimal:.1f} s"
         print(

@@ -55,7 +55,7 @@ def measure_hardness(
         seed: Seed of starts and actions.
 
     Raises:
-        SimulationError, LearningError: A fleet cannot simulate the task, or it has no arena.
+        SimulationError, LearningError: A fleet cannot simulate the task, or it has a corridor.
     """
     random = np.random.default_rng(seed)
     environments = FleetEnvironments(task, _ROBOTS)

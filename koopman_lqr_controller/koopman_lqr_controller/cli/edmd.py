@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ctrl_rl_bags.datasets import check_task
 from ctrl_rl_core.command import make_command
+from ctrl_rl_core.tasks import require
 
 from ctrl_rl_bags import bag_info
 from ctrl_rl_core import load_navigation_task, task_digest
@@ -43,6 +44,7 @@ def _learn(options: EdmdOptions) -> int:
 def _train(options: EdmdOptions) -> EdmdPolicy:
     check_held_out(options.held_out)
     task = load_navigation_task(options.task)
+    require("koopman_lqr_controller edmd", task)
     limits = (task.robot.commands["v"], task.robot.commands["omega"])
     observables = CorridorObservables()
     digest = task_digest(task)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
+from ctrl_rl_core.tasks import require
 from ctrl_rl_learning.study import (
     SimulatedOptions,
     TaskPlotOptions,
@@ -49,6 +50,7 @@ def _train(options: Train) -> int:
     if options.iterations:
         note_old_name("train", "--iterations", "--samples")
     task = load_navigation_task(options.task)
+    require("oc_baseline_node train", task)
     from oc_baseline_node.training.experiments.results import LABELS, collect
     from oc_baseline_node.training.experiments.runs import oc_runs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +21,7 @@ from ctrl_rl_core.command import (
     name_and_value,
     one_of,
 )
+from ctrl_rl_core.tasks import require, with_grid
 from tqdm import tqdm
 
 from ctrl_rl_bags import bag_info
@@ -182,14 +183,19 @@ def _problem(options: Solve) -> TimeToReachProblem:
     if options.kind != "time_to_reach" and (options.decomposition or options.method != "semi_lagrangian"):
         raise TimeToReachError(f"--decomposition and --method are for times to reach: leave them out of {options.kind}")
     task = load_navigation_task(options.task)
-    return problem_from_task(
-        task,
+    require("ttr_reward_node solve", task)
+    posed = with_grid(task)
+    if posed is not task:
+        print(f"grid       the task has none: {', '.join(f'{name} {axis.count}' for name, axis in posed.grid.items())}")
+    problem = problem_from_task(
+        posed,
         counts=dict(options.count),
         inflation=task.robot.radius if options.robot_size else options.inflation or 0.0,
         width=options.width,
         disturbances=dict(options.disturbance),
         control_counts=dict(options.controls),
     )
+    return replace(problem, digest=task_digest(task))  # a grid that was made here does not make it another task
 
 
 def _solve(options: Solve) -> int:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from ctrl_rl_core.command import FolderToWrite
 from ctrl_rl_core.old_names import note_old_name
+from ctrl_rl_core.tasks import require
 from ctrl_rl_learning.sb3 import ALGORITHMS, THESIS_ALGORITHMS
 from ctrl_rl_learning.study import (
     SimulatedOptions,
@@ -19,7 +20,7 @@ from ctrl_rl_learning.study import (
     train_and_collect,
 )
 
-from ctrl_rl_core import ResultsError
+from ctrl_rl_core import ResultsError, load_navigation_task
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS
 
@@ -49,6 +50,7 @@ class Plot(TaskPlotOptions):
 def _train(options: Train) -> int:
     if options.iterations:
         note_old_name("train", "--iterations", "--samples")
+    require("ttr_reward_node train", load_navigation_task(options.task))
     rewards = options.rewards or (PROGRESS,)
     needing = [reward for reward in (PROGRESS, "ttr") if reward in rewards]
     if needing and options.grid is None:

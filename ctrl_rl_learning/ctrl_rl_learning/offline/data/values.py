@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from ctrl_rl_core.tasks import GridSpec, SystemSpec
+from ctrl_rl_core.tasks import SystemSpec, with_grid
 from numpy.typing import NDArray
 from ttr_reward_node.rewards import longest_time
 
@@ -18,7 +18,6 @@ from ttr_reward_node import find_or_solve, load_value
 
 Array = NDArray[np.float64]
 TIME_TO_REACH, OC_VALUE = "time_to_reach", "oc_value"
-_CELL, _HEADINGS = 0.1, 72
 _COLLISION_S = 10.0
 """Time that a collision costs beside the longest way [s]."""
 
@@ -101,10 +100,10 @@ def clearance_of(task: NavigationTask, asked: float | None) -> float:
 def find_time_to_reach(task: NavigationTask, folder: Path, clearance: float = 0.0) -> Path:
     """Return the file of the time to reach by what the robot can do, solved now unless it is there.
 
-    Controls are the robot's commands. A task in an arena without a grid of its own gets one of 0.1 m and 5 deg.
+    Controls are the robot's commands. A task without a grid gets that of `with_grid`.
 
     Raises:
-        TimeToReachError: The task has no grid and no arena, or nothing reaches its goal.
+        TimeToReachError: There is no grid, or nothing reaches its goal.
     """
     return find_or_solve(task, folder, posed_as=solvable(task), clearance=clearance)
 
@@ -119,11 +118,4 @@ def solvable(task: NavigationTask) -> NavigationTask:
         changes["system"] = SystemSpec(
             model=system.model, parameters=system.parameters, controls=controls, states=system.states
         )
-    if not task.grid and task.arena is not None and system.build().state_names == ("x", "y", "theta"):
-        sides = dict(zip(("x", "y"), task.arena.bounds, strict=False))
-        grid = {
-            name: GridSpec(interval=f"{side.low} .. {side.high} m", count=round(side.length / _CELL) + 1)
-            for name, side in sides.items()
-        }
-        changes["grid"] = grid | {"theta": GridSpec(interval="-180.0 .. 180.0 deg", count=_HEADINGS)}
-    return task.model_copy(update=changes)
+    return with_grid(task.model_copy(update=changes))

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ctrl_rl_core.tasks import require
+
 from ctrl_rl_core import load_navigation_task, task_digest
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.settings import Settings
@@ -88,15 +90,14 @@ def find_task(name: str) -> BenchmarkTask:
     """Return a problem by name, or that of driving through the corridor of a task's .yaml file.
 
     Raises:
-        KoopmanError: there is none of that name, or the file's task has no corridor.
-        TaskError: the file is no task.
+        KoopmanError: there is none of that name.
+        TaskError: the file is no task, or its task has no corridor.
     """
     if name in BENCHMARK_TASKS:
         return BENCHMARK_TASKS[name]
     if not name.endswith(".yaml"):
         raise KoopmanError(f"no task '{name}': there are {', '.join(BENCHMARK_TASKS)}, or a .yaml file with a corridor")
-    if load_navigation_task(name).corridor is None:
-        raise KoopmanError(f"{name}: has no corridor to learn to drive through")
+    require("koopman_lqr_controller train", load_navigation_task(name))
     about = "the corridor of a task file"
     return replace(BENCHMARK_TASKS["curved_corridor"], name=name, about=about, make=_corridor(name), task=name)
 
