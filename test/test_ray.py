@@ -84,12 +84,12 @@ def test_eight_runs_end_alike_though_a_worker_is_killed(
 ) -> None:
     program = (
         "import sys, functools; from pathlib import Path\n"
-        "from ctrl_rl_learning.study import matrix\n"
-        "from option_coordinator.training.experiments.runs import option_runs\n"
-        "from ctrl_rl_learning.study.run import RunOptions\n"
+        "from ctrl_rl_learning.study import RunOptions, run_experiments\n"
+        "from option_coordinator.training import option_runs\n"
+        "matrix = sys.modules[run_experiments.__module__]\n"
         "matrix.map_in_ray = functools.partial(matrix.map_in_ray, shared=sys.argv[3] == 'True')\n"
         "runs = option_runs('tool_delivery', ['async', 'mac_dqn'], 4)\n"
-        "matrix.run_experiments(runs, RunOptions(Path(sys.argv[1]), 4, 400, 0, 1), ray=sys.argv[2])\n"
+        "run_experiments(runs, RunOptions(Path(sys.argv[1]), 4, 400, 0, 1), ray=sys.argv[2])\n"
     )
     begun = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path), cluster, str(shared)], stderr=subprocess.PIPE, text=True

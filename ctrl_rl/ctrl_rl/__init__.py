@@ -46,7 +46,7 @@ _NAMES = {
     "TimeToReach": "ttr_reward_node:TimeToReach",
     "TimeToReachReward": "ttr_reward_node:TimeToReachReward",
     "TimeToReachVectorReward": "ttr_reward_node:TimeToReachVectorReward",
-    "drive": "ctrl_rl_safety.trials.driving:drive",
+    "drive": "ctrl_rl_safety.trials:drive",
     "find_model": "ctrl_rl_safety:find_model",
     "learn_offline": "ctrl_rl_learning.offline:learn_from_drives",
     "load_policy": "ctrl_rl_core:load_policy",
@@ -54,7 +54,7 @@ _NAMES = {
     "load_value": "ttr_reward_node:load_value",
     "make_system": "ctrl_rl_core:make_system",
     "solve": "ttr_reward_node:solve_value",
-    "train": "ttr_reward_node.training.learn:train",
+    "train": "ttr_reward_node.training:train",
     "transitions": "ctrl_rl_learning.offline:read_drives",
 }
 _EXTRAS = {

@@ -146,8 +146,8 @@ def test_a_run_that_was_killed_goes_on_exactly(whole: tuple, tmp_path: Path) -> 
     program = (
         f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import short_suite\nshort_suite.shorten()\n"
-        "from pathlib import Path\nfrom ctrl_rl_learning.study.run import RunOptions\n"
-        "from ctrl_rl_learning.study.trainer import train\n"
+        "from pathlib import Path\n"
+        "from ctrl_rl_learning.study import RunOptions, train\n"
         "from koopman_lqr_controller.training.experiments.runs import LearningRun\n"
         f"train({RUN!r}, RunOptions(Path({str(killed)!r}), 3, 20, 1, 2))"
     )

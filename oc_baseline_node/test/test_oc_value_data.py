@@ -30,10 +30,8 @@ from oc_baseline_node import (
 MAKE = """
 import sys
 from pathlib import Path
-from ctrl_rl_core.tasks.task import load_navigation_task
-from oc_baseline_node.problems.problem import formulate
-from oc_baseline_node.value_data.dataset import DataSettings
-from oc_baseline_node.value_data.workers import make_data
+from ctrl_rl_core import load_navigation_task
+from oc_baseline_node import DataSettings, formulate, make_data
 make_data(formulate(load_navigation_task("car_navigation")), DataSettings(5, chunk=1), Path(sys.argv[1]))
 """
 
