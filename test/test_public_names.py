@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -40,6 +41,15 @@ def test_the_package_alone_loads_none_of_its_modules(stub: Path) -> None:
     code = f"import sys, {package}; print(*(name for name in sys.modules if name.startswith('{package}.')))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=True)
     assert answer.stdout.strip() == ""
+
+
+def test_dir_of_each_package_and_room_lists_what_the_page_of_names_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "reference"))
+    tables = re.split(r"^##+ ([\w.]+)$", import_module("names").names_page(), flags=re.MULTILINE)[1:]
+    faces = dict(zip(tables[::2], tables[1::2], strict=True))
+    assert set(faces) >= {stub.parent.name for stub in STUBS}
+    for face, table in faces.items():
+        assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == sorted(dir(import_module(face))), face
 
 
 def test_there_are_public_names() -> None:

@@ -1,4 +1,4 @@
-"""Writes the reference pages of the documentation from the code: commands, parameters, topics, messages, schemas.
+"""Writes the reference pages from the code: commands, parameters, topics, messages, schemas, names of Python.
 
 python scripts/reference FOLDER [PAGE...]
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from commands import command_page
 from messages import message_page
+from names import names_page
 from nodes import parameter_page, topic_page
 from readmes import package_pages
 from schemas import schema_page
@@ -20,6 +21,7 @@ PAGES = {
     "topics.md": topic_page,
     "messages.md": message_page,
     "schemas.md": schema_page,
+    "names.md": names_page,
 }
 
 
