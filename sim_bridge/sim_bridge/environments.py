@@ -4,7 +4,7 @@
     environment = gymnasium.make("ctrl_rl/car_ttr-v0")
     environments = gymnasium.make_vec("ctrl_rl/curved_corridor-v0", num_envs=4, vectorization_mode="sync")
 
-Each environment owns a physics engine; close it when done. Without an import of this module, write
+Each environment owns a physics engine; close it when done. To skip the import of this module, use the name
 "sim_bridge.environments:ctrl_rl/car_ttr-v0".
 """
 
@@ -30,7 +30,7 @@ Vector = NDArray[np.float32]
 
 
 class NavigationEnv(gymnasium.Env[Vector, Vector]):
-    """One robot of a navigation task; an episode ends at goal, collision or trap and is cut at the step limit.
+    """One robot of a navigation task; episodes terminate at goal, collision or trap, and truncate at the step limit.
 
     Observation, in SI units and this order (`observation_names`): the system's state by odometry, angles in [-pi, pi];
     in a corridor also speed v and turn rate omega; then the lidar's beams, with the maximum range for no echo and the
@@ -56,14 +56,14 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         """Build the world.
 
         Args:
-            task: A task, its name, or its file.
-            width: Free width of a corridor [m], None for the task's (or the options' random one).
+            task: A task, its name, or the path of its file.
+            width: Free width of a corridor [m]; None for the task's width (or a random one, depending on `options`).
             options: Settings of the simulation.
-            render_mode: None; PyBullet's window is an option.
+            render_mode: Must be None; `options` can open PyBullet's window.
 
         Raises:
             SimulationError: The time step of the task is not a whole number of physics steps.
-            TaskError: There is no such task, or the width does not suit it.
+            TaskError: The task does not exist, or the width is invalid for it.
         """
         self.render_mode = render_mode
         self.task = task if isinstance(task, NavigationTask) else load_navigation_task(task)
@@ -79,8 +79,8 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         """Start an episode; the same seed gives the same start, noise and drift.
 
         Args:
-            seed: Seed of the episode; drawn unless given.
-            options: `start` is the state (n,) to start in, in SI units; drawn from the task's start set unless given.
+            seed: Seed of the episode; random by default.
+            options: `start` is the state (n,) to start in, in SI units; drawn from the task's start set by default.
         """
         super().reset(seed=seed, options=options)
         drawn = int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed
@@ -94,7 +94,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         return self.result()
 
     def command_of(self, action: Vector) -> NDArray[np.float64]:
-        """Return the command (2,) of an action (2,), in SI units.
+        """Convert an action (2,) to a command (2,) in SI units.
 
         Raises:
             SimulationError: The action is not two finite numbers.
@@ -107,7 +107,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
         return command
 
     def result(self) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Return the result of a step that ends now, for wrappers that drive `world` themselves."""
+        """Return the results of a step that ends now, for wrappers that step `world` themselves."""
         episode = self.world.episode(0)
         truncated = episode.outcome is Outcome.TIMEOUT
         terminated = episode.outcome is not Outcome.RUNNING and not truncated
@@ -140,7 +140,7 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
 
 
 def register_environments() -> tuple[str, ...]:
-    """Register each navigation task as ctrl_rl/NAME-v0 and return the ids."""
+    """Register each navigation task as ctrl_rl/NAME-v0 and return the environment ids."""
     names = [name for name in task_names() if isinstance(load_task(name), NavigationTask)]
     ids = tuple(f"ctrl_rl/{name}-v0" for name in names)
     for name, identifier in zip(names, ids, strict=True):

@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class SimulationError(CtrlRlError):
-    """A world cannot be built or run as asked."""
+    """A world cannot be built or run as requested."""

@@ -1,4 +1,4 @@
-"""Chooses a simulation's engine."""
+"""Selection of the physics engine."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from sim_bridge.engines.engine import Engine
 from sim_bridge.errors import SimulationError
 
 ENGINES = ("auto", "pybullet", "mujoco", "planar")
-"""Names of engines; "auto" is PyBullet if installed, else MuJoCo. "planar" needs neither."""
+"""Engine names; "auto" is PyBullet if installed, else MuJoCo. "planar" needs neither."""
 
 
 @functools.cache
 def default_engine() -> str:
-    """Return the engine that "auto" stands for; if PyBullet is missing, print one line, once."""
+    """Return the engine that "auto" selects; if PyBullet is missing, print one line, once."""
     if find_spec("pybullet") is not None:
         return "pybullet"
     logging.getLogger("sim_bridge").warning("PyBullet is not installed: the simulation runs in MuJoCo")
@@ -23,15 +23,15 @@ def default_engine() -> str:
 
 
 def make_engine(name: str, rate: int, gui: bool = False) -> Engine:
-    """Return a new engine of a name in `ENGINES`.
+    """Create an engine by its name in `ENGINES`.
 
     Args:
         name: Name of the engine.
         rate: Physics steps per second [Hz].
-        gui: Whether to show the world in a window, which only PyBullet has.
+        gui: Whether to show the world in a window (PyBullet only).
 
     Raises:
-        SimulationError: There is no such engine, it is not installed, or it has no window.
+        SimulationError: The engine is unknown, not installed, or has no window.
     """
     if name not in ENGINES:
         raise SimulationError(f"there is no engine '{name}': choose one of {', '.join(ENGINES)}")

@@ -1,4 +1,4 @@
-"""The interface of physics engines: what a world asks of an engine, in terms of a task.
+"""Common interface of the physics engines, in terms of a task.
 
 A world in the x-y plane stands on a floor; one in the x-z plane floats in space (its floor is a wall of the task).
 Robots are numbered from 0 in the order in which they are added.
@@ -24,9 +24,9 @@ WALL_HEIGHT = 0.5
 SLAB_DEPTH = 2.0
 """Depth of walls and obstacles across the x-z plane [m]."""
 MOVER_MASS = 1e5
-"""Mass of a mover [kg]: no robot slows it."""
+"""Mass of a mover [kg], large enough that no robot slows it down."""
 MOST_ROBOTS = 29
-"""Maximum number of robots: in PyBullet each has its own bit, so that a lidar can ignore its carrier."""
+"""Maximum number of robots: in PyBullet each has its own bit, so that a lidar can ignore its own robot."""
 SEARCH_LIMIT = 100.0
 """Distances beyond this count as infinite [m]."""
 
@@ -52,7 +52,7 @@ class WheeledRobot:
 
 @dataclass(frozen=True)
 class FlyingRobot:
-    """A robot that is held in the x-z plane by joints `x`, `z` and `psi` without friction.
+    """A robot constrained to the x-z plane by frictionless joints `x`, `z` and `psi`.
 
     Attributes:
         urdf: Path of its file, or its name in `urdf/`.
@@ -102,23 +102,23 @@ class PlanarJoints(Protocol):
 
 
 class MovingDisc(Protocol):
-    """A disc that moves on whatever it hits."""
+    """A disc that keeps moving through contacts."""
 
     def move(self, position: tuple[float, float], velocity: tuple[float, float]) -> None:
-        """Put it at a position [m]; in the next step it moves at a velocity [m/s]."""
+        """Place the disc at a position [m]; in the next step it moves at a velocity [m/s]."""
 
 
 class PlacedDisc(Protocol):
-    """A disc-shaped robot that is placed by its own equations."""
+    """A disc-shaped robot positioned by its own equations of motion."""
 
     def put(self, x: float, second: float, angle: float) -> None:
-        """Put it at a position in the plane [m] and a counter-clockwise angle [rad]."""
+        """Place the disc at a position in the plane [m] and a counter-clockwise angle [rad]."""
 
 
 class Engine(Protocol):
-    """A physics engine with one world, which runs in whole steps.
+    """A physics engine with one world, advanced in whole steps.
 
-    Build a world by `begin`, one `add_...` per robot and mover, and `finish`; the next `begin` clears it.
+    To build a world, call `begin`, one `add_...` per robot and mover, and `finish`; the next `begin` clears the world.
 
     Attributes:
         name: Name of the engine.
@@ -129,69 +129,69 @@ class Engine(Protocol):
     rate: int
 
     def begin(self, plane: str, shapes: Sequence[Shape]) -> None:
-        """Begin a world of walls and obstacles in a plane, "xy" or "xz"."""
+        """Start building a world of walls and obstacles in a plane, "xy" or "xz"."""
 
     def add_wheeled(self, robot: WheeledRobot) -> WheelBase:
         """Add a wheeled robot.
 
         Raises:
-            SimulationError: Too many robots.
+            SimulationError: There are too many robots.
         """
 
     def add_flying(self, robot: FlyingRobot) -> PlanarJoints:
         """Add a flying robot.
 
         Raises:
-            SimulationError: Too many robots.
+            SimulationError: There are too many robots.
         """
 
     def add_disc(self, radius: float) -> PlacedDisc:
-        """Add a robot that is a disc of a radius [m].
+        """Add a disc-shaped robot of a radius [m].
 
         Raises:
-            SimulationError: Too many robots, or the engine has no placed robots.
+            SimulationError: There are too many robots, or the engine does not support disc-shaped robots.
         """
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> MovingDisc:
         """Add a mover of a radius at a position [m]; robots and rays hit it, walls and other movers do not.
 
-        It is a cylinder, `WALL_HEIGHT` high in the x-y plane, or `SLAB_DEPTH` deep across the x-z plane.
+        The mover is a cylinder, `WALL_HEIGHT` high in the x-y plane, or `SLAB_DEPTH` deep across the x-z plane.
         """
 
     def finish(self) -> None:
-        """Complete the world; then steps, ray casts and distances may follow."""
+        """Complete the world; afterwards steps, ray casts and distance queries are allowed."""
 
     def step(self) -> None:
-        """Advance by 1 / rate."""
+        """Advance by one physics step of 1 / rate."""
 
     def cast(self, origin: Array, ends: Array, robot: int) -> Array:
         """Return the free fraction (n,) of each ray from `origin` (3,) to `ends` (n, 3).
 
         Args:
             origin: Start of the rays [m].
-            ends: Ends of the rays, all equally far [m].
-            robot: Number of the robot that the rays ignore.
+            ends: Ends of the rays, all at the same distance [m].
+            robot: Index of the robot that the rays ignore.
         """
 
     def distance(self, robot: int, guess: float) -> float:
-        """Return the distance of a robot to the nearest wall, obstacle, mover or robot [m].
+        """Return the distance from a robot to the nearest wall, obstacle, mover or robot [m].
 
-        It is negative if they overlap, and inf if nothing is within `SEARCH_LIMIT`.
+        The distance is negative if they overlap, and inf if nothing is within `SEARCH_LIMIT`.
 
         Args:
-            robot: Number of the robot.
+            robot: Index of the robot.
             guess: Initial search radius [m]; fastest when slightly above the answer.
         """
 
     def mover_distance(self, robot: int, mover: int, limit: float) -> float:
-        """Return the distance of a robot to a mover, numbered as added, but at most `limit` [m]."""
+        """Return the distance from a robot to a mover (indexed as added), at most `limit` [m]."""
 
     def close(self) -> None:
         """Release the engine; may be called twice."""
 
 
 def placed(shape: Shape, plane: str) -> tuple[list[float], list[float], list[float]]:
-    """Return half extents, position and quaternion (x, y, z, w) of a plane shape in space."""
+    """Return half extents, position and quaternion (x, y, z, w) of a planar shape in 3D."""
     size = shape.size if isinstance(shape, Box) else (0.0, 0.0)
     angle = shape.angle if isinstance(shape, Box) else 0.0
     first, second = shape.centre

@@ -25,11 +25,11 @@ from sim_bridge.errors import SimulationError
 
 _FAR = 1
 _SEEN = np.array((1, 0, 0, 0, 0, 0), np.uint8)
-"""Groups of geoms for rays; geoms out of reach are set apart, since each ray checks every geom."""
+"""Geom groups for rays; geoms out of reach get another group, since each ray checks every geom."""
 
 
 class MujocoEngine:
-    """An `Engine` on MuJoCo; the model is reused while walls, obstacles and robots are the same.
+    """MuJoCo implementation of `Engine`; the model is reused while walls, obstacles and robots are the same.
 
     Attributes:
         rate: Physics steps per second [Hz].
@@ -145,7 +145,7 @@ class MujocoEngine:
         return self._between(self._robots[robot].geoms, [self._movers[mover].geom], limit)
 
     def _gaps(self, point: Array) -> Array:
-        """Return the distance of a point (3,) to the box around each wall and obstacle (n,) [m]."""
+        """Return the distances of a point (3,) to the bounding box of each wall and obstacle (n,) [m]."""
         place = point[[0, 1] if self._plane == "xy" else [0, 2]]
         beside = np.maximum(np.maximum(self._fixed[:, :2] - place, place - self._fixed[:, 2:]), 0.0)
         return np.hypot(*beside.T)
@@ -163,14 +163,14 @@ class MujocoEngine:
 
 
 class _MujocoRobot:
-    """What wheeled and flying robots share.
+    """Common base of wheeled and flying robots.
 
     Attributes:
         robot: The requested robot.
         kind: Fields of the robot that determine its model.
         body: MuJoCo id of the body with the lidar.
         geoms: Geoms of the whole robot.
-        radius: Radius of a sphere around the body's origin that contains it [m].
+        radius: Radius of a sphere around the body's origin that encloses the robot [m].
     """
 
     def __init__(self, robot: WheeledRobot | FlyingRobot, kind: tuple[object, ...], body: str) -> None:
@@ -255,7 +255,7 @@ class MujocoJoints(_MujocoRobot):
 
 
 class MujocoMover:
-    """A `MovingDisc` in MuJoCo: a heavy body on two rails, because contacts ignore the speed of a `mocap` body.
+    """A `MovingDisc` in MuJoCo: a heavy body on two slide joints, because contacts ignore the speed of a `mocap` body.
 
     Attributes:
         radius: Radius of the disc [m].

@@ -1,4 +1,4 @@
-"""MuJoCo's models of worlds: walls and obstacles of a plane, and robots from their URDF files."""
+"""MuJoCo models of worlds: walls and obstacles of a plane, and robots from their URDF files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail, which MuJoC
 
 
 def prefix(robot: int) -> str:
-    """Return the prefix of the names of a robot's parts."""
+    """Return the name prefix of a robot's parts."""
     return f"{robot}/"
 
 
@@ -43,7 +43,7 @@ def build_model(
     robots: Sequence[WheeledRobot | FlyingRobot],
     movers: Sequence[float] = (),
 ) -> mujoco.MjModel:
-    """Return a world's model; the state places the robots.
+    """Build the model of a world; robot poses are part of the state.
 
     Args:
         rate: Physics steps per second [Hz].
@@ -86,7 +86,7 @@ def _add_fixed(spec: mujoco.MjSpec, shape: Shape, plane: str) -> None:
 
 
 def _add_mover(spec: mujoco.MjSpec, number: int, radius: float, plane: str) -> None:
-    """Add a heavy cylinder on two rails, without contacts to walls and other movers."""
+    """Add a heavy cylinder on two slide joints, without contacts to walls and other movers."""
     body = spec.worldbody.add_body(name=mover_name(number), mass=MOVER_MASS, inertia=(1.0, 1.0, 1.0))
     for axis, direction in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0) if plane == "xy" else (0.0, 0.0, 1.0))):
         body.add_joint(name=mover_name(number, axis), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
@@ -123,7 +123,7 @@ def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
 def _add_motor(spec: mujoco.MjSpec, wheel: str, torque: float, rate: int) -> None:
     """Add a motor: a heavy shaft with a given speed, and a clutch to the wheel that slips at the torque [N m].
 
-    A velocity actuator would not do: MuJoCo ignores it when it solves for contact forces, so wheels would creep.
+    A velocity actuator is unsuitable: MuJoCo ignores it when it solves for contact forces, so wheels would creep.
     """
     shaft = spec.worldbody.add_body(name=wheel + MOTOR, mass=1.0, inertia=(1.0, 1.0, 1.0))
     shaft.add_joint(name=wheel + MOTOR, axis=(0.0, 1.0, 0.0), armature=_SHAFT)
@@ -149,7 +149,7 @@ def _flying(robot: FlyingRobot) -> mujoco.MjSpec:
 
 
 def _load(urdf: str) -> mujoco.MjSpec:
-    """Return a robot from its URDF file, with the friction that MuJoCo's reader ignores."""
+    """Load a robot from its URDF file, with the friction that MuJoCo's parser ignores."""
     file = URDF_FOLDER / urdf
     spec = mujoco.MjSpec.from_file(str(file))
     slippery = {

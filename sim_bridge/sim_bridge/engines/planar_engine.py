@@ -1,7 +1,8 @@
 """Planar worlds without contact forces, fast enough for learning.
 
-A drive rolls without slipping, with motors of limited torque; a quadrotor follows its rigid-body equations. Distances
-and lidar rays are exact. Contacts exert no force: a robot that touches something has collided, and passes through it.
+Wheeled robots roll without slipping, with torque-limited motors; quadrotors follow their rigid-body equations.
+Distances and lidar rays are exact. Contacts exert no force: a robot that touches something counts as collided, and
+passes through.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sim_bridge.errors import SimulationError
 
 
 class PlanarEngine:
-    """An `Engine` of rigid bodies in a plane, without contact forces and friction.
+    """An `Engine` of rigid bodies in a plane, without contact forces or friction.
 
     Attributes:
         rate: Physics steps per second [Hz].
@@ -124,7 +125,7 @@ class PlanarEngine:
         return found
 
     def close(self) -> None:
-        """Do nothing: there is nothing to release."""
+        """Do nothing; there are no resources to release."""
 
 
 class _PlanarRobot:
@@ -135,7 +136,7 @@ class _PlanarRobot:
         raise NotImplementedError
 
     def advance(self) -> None:
-        """Move for a physics step."""
+        """Move by one physics step."""
         raise NotImplementedError
 
     def place(self) -> tuple[float, float, float]:
@@ -211,7 +212,7 @@ class PlanarFlight(_PlanarRobot):
 
 
 class PlanarDisc(_PlanarRobot):
-    """A `PlacedDisc`."""
+    """A `PlacedDisc` in the planar engine."""
 
     def __init__(self, radius: float) -> None:
         self._radius, self._place = radius, (0.0, 0.0, 0.0)
@@ -223,7 +224,7 @@ class PlanarDisc(_PlanarRobot):
         self._place = (x, second, angle)
 
     def advance(self) -> None:
-        """Do nothing: its own equations place it."""
+        """Do nothing; the disc is positioned by its own equations."""
 
     def place(self) -> tuple[float, float, float]:  # noqa: D102
         return self._place
@@ -245,13 +246,13 @@ class PlanarMover:
         self.position, self._velocity = position, velocity
 
     def advance(self) -> None:
-        """Move for a physics step."""
+        """Move by one physics step."""
         (x, y), (v_x, v_y) = self.position, self._velocity
         self.position = (x + v_x * self._step, y + v_y * self._step)
 
 
 def shape_row(shape: Shape) -> tuple[float, ...]:
-    """Return a wall or obstacle as a row of `planar_geometry` (8,)."""
+    """Convert a wall or obstacle to a row (8,) of `planar_geometry`."""
     if isinstance(shape, Box):
         extent, radius, angle = (0.5 * shape.size[0], 0.5 * shape.size[1]), 0.0, shape.angle
     else:

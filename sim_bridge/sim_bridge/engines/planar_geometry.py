@@ -18,7 +18,7 @@ COLUMNS = 8
 
 @cached_njit
 def _beside(shape: Any, x: float, y: float) -> float:
-    """Signed distance of a point to a rectangle, without its rounding [m]."""
+    """Signed distance of a point to a rectangle, without rounding [m]."""
     dx, dy = x - shape[X], y - shape[Y]
     u = abs(shape[COS] * dx + shape[SIN] * dy) - shape[HALF_X]
     v = abs(shape[COS] * dy - shape[SIN] * dx) - shape[HALF_Y]
@@ -36,7 +36,7 @@ def _corner(shape: Any, index: int) -> tuple[float, float]:
 
 @cached_njit
 def _overlap(one: Any, other: Any) -> float:
-    """Maximum gap of two rectangles along the axes of the first [m]; negative if their projections overlap on both."""
+    """Maximum gap between two rectangles along the axes of the first [m]; negative if both projections overlap."""
     dx, dy = other[X] - one[X], other[Y] - one[Y]
     c = abs(one[COS] * other[COS] + one[SIN] * other[SIN])
     s = abs(one[COS] * other[SIN] - one[SIN] * other[COS])
@@ -67,7 +67,7 @@ def _between(one: Any, other: Any) -> float:
 
 @cached_njit
 def place(shapes: Any, parts: Any, first: int, last: int, x: float, y: float, angle: float) -> None:
-    """Move the shapes from `first` to before `last` to a pose; the last rows of `shapes` belong to `parts`."""
+    """Move the shapes `first` to `last` - 1 to a pose; the last rows of `shapes` belong to `parts`."""
     c, s = math.cos(angle), math.sin(angle)
     for index in range(first, last):
         part, shape = parts[index + len(parts) - len(shapes)], shapes[index]
@@ -77,13 +77,13 @@ def place(shapes: Any, parts: Any, first: int, last: int, x: float, y: float, an
 
 @cached_njit
 def nearest(shapes: Any, first: int, last: int, outer: int, limit: float) -> float:
-    """Return the minimum signed distance of a robot to all other shapes [m], or the limit.
+    """Return the minimum signed distance from a robot to all other shapes [m], or the limit.
 
     Args:
-        shapes: All shapes (n, 8); the robot's are from `first` to before `last`.
+        shapes: All shapes (n, 8); the robot's are `first` to `last` - 1.
         first: Index of the robot's first shape.
         last: Index after its last shape.
-        outer: Number of its outer shapes, the first ones, which contain all others.
+        outer: Number of the robot's outer shapes, listed first, which enclose all others.
         limit: Distance to return if nothing is nearer [m].
     """
     for mine in range(first, first + outer):
@@ -100,7 +100,7 @@ def nearest(shapes: Any, first: int, last: int, outer: int, limit: float) -> flo
 
 @cached_njit
 def _hit(shape: Any, x: float, y: float, dx: float, dy: float) -> float:
-    """Fraction of a ray before a shape; 1 if it misses the shape or begins inside."""
+    """Return the fraction of a ray before a shape; 1 if the ray misses the shape or starts inside."""
     px, py = x - shape[X], y - shape[Y]
     radius = shape[RADIUS]
     if radius > 0.0:
@@ -154,13 +154,13 @@ def cast(shapes: Any, x: float, y: float, rays: Any, free: Any) -> None:
 
 @cached_njit
 def wheel_speeds(speeds: Any, wanted: Any, own: float, shared: float, most: float) -> bool:
-    """Drive two wheels (2,) towards their target speeds [rad/s] by limited impulses; return whether both are there.
+    """Drive two wheels (2,) towards their target speeds [rad/s] by limited impulses; return whether both reach them.
 
     Args:
         speeds: Speeds, changed in place.
         wanted: Target speeds (2,) [rad/s].
-        own: Speed that an impulse gives its own wheel [rad/s per N m s].
-        shared: Speed that it gives the other wheel [rad/s per N m s].
+        own: Change in a wheel's speed per impulse on that wheel [rad/s per N m s].
+        shared: Change in the other wheel's speed per impulse [rad/s per N m s].
         most: Maximum impulse [N m s].
     """
     left, right = wanted[0] - speeds[0], wanted[1] - speeds[1]

@@ -1,4 +1,4 @@
-"""Differential drives that roll in the plane: N at once for a fleet, one for the planar engine."""
+"""Differential drives rolling in the plane: N at once for a fleet, one for the planar engine."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Array = NDArray[np.float64]
 
 @cached_njit
 def _roll(poses: Any, wheels: Any, settled: Any, constants: Any) -> None:
-    """Advance drives by a physics step.
+    """Advance drives by one physics step.
 
     Args:
         poses: Poses x, y, theta (N, 3) [m, m, rad], changed in place.
-        wheels: Of the left and right wheel: angles [rad], commanded speeds, target speeds of the motors after their
-            lag, and speeds [rad/s] (4, N, 2); all but the commanded ones are changed in place.
+        wheels: For the left and right wheel: angles [rad], commanded speeds, lagged target speeds of the motors, and
+            actual speeds [rad/s] (4, N, 2); all but the commanded speeds are changed in place.
         settled: Whether both wheels have reached their target speeds (N,), changed in place.
-        constants: Fraction of the way to the commanded speed that the targets go in a step; speed that an impulse adds
-            to its own wheel and to the other one [rad/s per N m s]; maximum impulse in a step [N m s]; duration of a
-            step [s]; distance [m] per sum, and half a turn [rad] per difference, of the wheels' speeds (7,).
+        constants: Fraction by which the targets approach the commanded speed per step; speed change per impulse of a
+            wheel and of the other wheel [rad/s per N m s]; maximum impulse per step [N m s]; duration of a step [s];
+            distance [m] per sum, and half the rotation [rad] per difference, of the wheel speeds (7,).
     """
     share, own, shared, impulse, step, per_sum, per_difference = constants
     angles, wanted, held, speeds = wheels
@@ -52,7 +52,7 @@ def _roll(poses: Any, wheels: Any, settled: Any, constants: Any) -> None:
 
 
 class RollingDrives:
-    """Equal drives that roll without slipping, on velocity motors with a lag and limited torque.
+    """Identical drives that roll without slipping, on velocity motors with a lag and limited torque.
 
     Args:
         urdf: Path of the robots' file, or its name in `urdf/`.
@@ -79,15 +79,15 @@ class RollingDrives:
         self._settled = np.ones(size, dtype=np.bool_)
 
     def begin(self, index: int, pose: ArrayLike) -> None:
-        """Put a robot to rest at a pose (3,)."""
+        """Place a robot at rest at a pose (3,)."""
         self.poses[index], self._wheels[:, index], self._settled[index] = pose, 0.0, True
 
     def advance(self) -> None:
-        """Move for a physics step."""
+        """Move by one physics step."""
         _roll(self.poses, self._wheels, self._settled, self._constants)
 
     def twist(self, index: int) -> tuple[float, float]:
-        """Return one robot's speed [m/s] and turn rate [rad/s]; for one, plain numbers are faster than arrays."""
+        """Return one robot's speed [m/s] and turn rate [rad/s] as floats, faster than arrays for one robot."""
         left, right = self._speeds[index].tolist()
         return 0.5 * self._radius * (left + right), self._radius * (right - left) / self._separation
 

@@ -1,6 +1,6 @@
-"""Robots as flat parts: outlines, mass and wheels, read from their URDF files.
+"""Planar robot models: outlines, mass and wheels, read from URDF files.
 
-The URDF files' joints and shapes may be rotated by multiples of 90 degrees only.
+Joints and shapes in the URDF files may only be rotated by multiples of 90 degrees.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class WheeledModel:
 
     Attributes:
         mass: Mass of the whole robot [kg].
-        inertia: Moment of inertia of the whole robot about the vertical through the centre of its axle [kg m^2].
+        inertia: Moment of inertia of the whole robot about the vertical axis through the axle's centre [kg m^2].
         wheel_inertia: Moment of inertia of one wheel about its axle [kg m^2].
         wheel_radius: Radius of the wheels [m].
         wheel_separation: Distance between the wheels [m].
@@ -41,7 +41,7 @@ class WheeledModel:
 
     @property
     def answers(self) -> tuple[float, float]:
-        """Speed that an impulse adds to its own wheel and to the other one [rad/s per N m s]."""
+        """Speed change per impulse of a wheel itself and of the other wheel [rad/s per N m s]."""
         # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
         straight = 0.5 * self.mass * self.wheel_radius**2 + self.wheel_inertia
         turn = 2.0 * self.inertia * (self.wheel_radius / self.wheel_separation) ** 2 + self.wheel_inertia
@@ -54,7 +54,7 @@ class Outline(NamedTuple):
     Attributes:
         parts: Rounded rectangles along the robot's axes (parts, 7): centre (2) and half extents (2) [m], the
             radius [m] (a disc is a point with a radius), and the minimum and maximum coordinate across the plane [m].
-        outer: Number of outer parts, the first ones, which contain all others, seen across the plane.
+        outer: Number of outer parts, listed first, which enclose all others in the plane.
     """
 
     parts: Array
@@ -79,7 +79,7 @@ def outline(urdf: str, plane: str) -> Outline:
 
 
 def disc_outline(radius: float) -> Outline:
-    """Return the outline of a disc of a radius [m] that all rays hit."""
+    """Return the outline of a disc of a radius [m] that is visible to all rays."""
     return Outline(np.array([[0.0, 0.0, 0.0, 0.0, radius, -np.inf, np.inf]]), 1)
 
 
@@ -110,7 +110,7 @@ def _part(collision: ET.Element, place: Array, plane: str) -> Array:
 
 
 def _holds(outer: Array, inner: Array) -> bool:
-    """Return whether a part lies within another, a rectangle or a disc."""
+    """Return whether a part lies within another one, a rectangle or a disc."""
     beside = np.abs(inner[:2] - outer[:2]) + inner[2:4]
     if outer[4] == 0.0:
         return bool((beside + inner[4] <= outer[2:4]).all())
@@ -119,7 +119,7 @@ def _holds(outer: Array, inner: Array) -> bool:
 
 @cache
 def wheeled_model(urdf: str) -> WheeledModel:
-    """Return the constants of a differential drive."""
+    """Return the constants of a differential drive from its URDF."""
     tree = _tree(urdf)
     places = _places(tree)
     links = {link.attrib["name"]: link for link in tree.findall("link")}
@@ -141,7 +141,7 @@ def wheeled_model(urdf: str) -> WheeledModel:
 
 
 def _places(tree: ET.Element) -> dict[str, Array]:
-    """Return the position (3,) of each link in the root's frame [m]."""
+    """Return the position (3,) of each link in the root frame [m]."""
     joints = {_attribute(joint, "child", "link"): joint for joint in tree.findall("joint")}
 
     def place(name: str) -> Array:

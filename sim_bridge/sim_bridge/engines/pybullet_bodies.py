@@ -1,4 +1,4 @@
-"""Bodies in a PyBullet client: robots on wheels, robots on joints, and movers."""
+"""Bodies in a PyBullet client: wheeled robots, jointed robots, and movers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim_bridge.engines.engine import (
 from sim_bridge.engines.quiet_pybullet import pybullet
 
 ALL_GROUPS = 0x7FFFFFFF
-"""Mask of contacts and rays that matches every body."""
+"""Contact and ray mask that matches every body."""
 _STATIC_GROUP = 2  # of all bodies without mass
 
 

@@ -1,4 +1,4 @@
-"""Worlds in PyBullet; only this module owns a client."""
+"""Worlds in PyBullet; the only module that owns a client."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost ha
 
 
 def _check_display() -> None:
-    """Raise SimulationError if there is no display: PyBullet would end the process with an X error."""
+    """Raise SimulationError without a display; PyBullet would end the process with an X error."""
     display = os.environ.get("DISPLAY", "")
     local = re.fullmatch(r":(\d+)(\.\d+)?", display)
     if not display:
@@ -44,7 +44,7 @@ def _check_display() -> None:
 
 
 class PybulletEngine:
-    """An `Engine` on a PyBullet client.
+    """PyBullet implementation of `Engine`.
 
     Attributes:
         client: PyBullet id of the client.
@@ -126,7 +126,7 @@ class PybulletEngine:
         return mover
 
     def _load(self, urdf: str, position: Sequence[float], attitude: Sequence[float], rooted: bool = False) -> int:
-        """Load a robot without damping, which rays can ignore."""
+        """Load a robot without damping, in a group that rays can ignore."""
         if len(self.robots) == MOST_ROBOTS:
             raise SimulationError(f"a world holds at most {MOST_ROBOTS} robots")
         body: int = pybullet.loadURDF(
@@ -153,7 +153,7 @@ class PybulletEngine:
         return {name.decode(): joint for joint, name in enumerate(names)}
 
     def finish(self) -> None:
-        """Do nothing: everything has been added already."""
+        """Do nothing; everything has already been added."""
 
     def step(self) -> None:  # noqa: D102
         pybullet.stepSimulation(physicsClientId=self.client)
@@ -189,7 +189,7 @@ class PybulletEngine:
         return min((point[8] for point in points), default=limit)
 
     def _gaps(self, robot: int) -> Array | None:
-        """Return lower bounds on a robot's distances to the bodies of `fixed` (n,) [m]; None if these are few."""
+        """Return lower bounds of a robot's distances to the bodies of `fixed` (n,) [m]; None if there are few."""
         if len(self.fixed) <= _FEW:
             return None
         (least, largest), boxes = self._box(self.robots[robot]), np.array(self._boxes)

@@ -1,4 +1,4 @@
-"""Imports PyBullet without the line that it writes to the error stream."""
+"""Imports PyBullet without the line that it prints to standard error."""
 
 from __future__ import annotations
 

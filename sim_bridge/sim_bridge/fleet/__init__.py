@@ -1,4 +1,4 @@
-"""Many robots of one task, each in its own world, advanced together, fast enough for learning."""
+"""Many robots of one task, each in its own world, stepped together, fast enough for learning."""
 
 import lazy_loader as lazy
 

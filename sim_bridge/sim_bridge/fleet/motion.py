@@ -1,4 +1,4 @@
-"""How the robots of a fleet move: the planar engine's equations for many robots at once."""
+"""Vectorised motion models of a fleet, with the equations of the planar engine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class FleetMotion(Protocol):
 
     Attributes:
         outline: Collision shapes of a robot.
-        lidar: Position of the lidar along and across the robot, its height [m], and its direction [rad] (4,).
+        lidar: Lidar mounting: position along and across the robot [m], height [m] and direction [rad] (4,).
         poses: Poses x, y, theta or x, z, psi (N, 3) [m, m, rad].
     """
 
@@ -32,13 +32,13 @@ class FleetMotion(Protocol):
     poses: Array
 
     def begin(self, index: int, state: dict[str, float]) -> None:
-        """Put a robot into a state, given by component."""
+        """Set a robot's state, given by component."""
 
     def command(self, commands: Array) -> None:
-        """Take a new command of each robot (N, 2), within the task's bounds."""
+        """Set new commands of all robots (N, 2), within the task's bounds."""
 
     def advance(self) -> None:
-        """Move for a physics step."""
+        """Move by one physics step."""
 
     def velocities(self) -> Array:
         """Return the rates of the poses (N, 3) [m/s, m/s, rad/s]."""
@@ -77,7 +77,7 @@ class WheeledMotion:
 
 
 class FlyingMotion:
-    """Planar quadrotors (thesis Eq. 3.10) by the leapfrog of `simulation.bodies.PlanarQuadrotor`."""
+    """Planar quadrotors (thesis Eq. 3.10), integrated by the leapfrog scheme of `simulation.bodies.PlanarQuadrotor`."""
 
     lidar = (0.0, 0.0, 0.0, 0.0)
 
@@ -123,7 +123,7 @@ class FlyingMotion:
 
 
 class ModelMotion:
-    """Discs that move exactly by the task's system, see `simulation.model_body`."""
+    """Discs that move exactly as the task's system model, see `simulation.model_body`."""
 
     lidar = (0.0, 0.0, LIDAR_HEIGHT, 0.0)
 
@@ -160,7 +160,7 @@ class ModelMotion:
 
 
 def make_motion(task: NavigationTask, system: System, size: int, rate: int) -> FleetMotion:
-    """Return the motion of a task's robots."""
+    """Return the motion model for a task's robots."""
     if task.robot.robot is not None and task.plane == "xz":
         return FlyingMotion(task.robot.robot, system, size, rate)
     if task.robot.body == MODEL:

@@ -1,4 +1,4 @@
-"""Many robots of one task, each in a world of its own, in the planar engine's equations.
+"""Many robots of one task, each in its own world, with the equations of the planar engine.
 
     fleet = PlanarFleet(load_navigation_task("car_ttr"), size=8)
     for robot in range(8):
@@ -6,7 +6,7 @@
     outcomes = fleet.step(actions)                     # (8, 2) in [-1, 1]
     fleet.observations(), fleet.states(), fleet.rewards()
 
-The caller begins a new episode for each robot whose outcome is not RUNNING.
+The caller starts a new episode for each robot whose outcome is not RUNNING.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from sim_bridge.simulation.world import TOUCH
 
 @cached_njit
 def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, out: Any) -> None:
-    """Write the distance of each robot to the nearest shape [m], or the limit, into `out` (N,).
+    """Write the distance from each robot to the nearest shape [m], or the limit, into `out` (N,).
 
     Args:
-        shapes: Standing shapes (n, 8), then room for the robot's (m, 8).
+        shapes: Static shapes (n, 8), followed by space for the robot's (m, 8).
         parts: Shapes of the robot (m, 7).
-        outer: Number of the robot's shapes, the first ones, that hold all others.
+        outer: Number of the robot's outer shapes, listed first, which enclose all others.
         places: Positions and counter-clockwise angles of the robots (N, 3) [m, m, rad].
         limit: Distance to write if nothing is nearer [m].
         out: Signed distances (N,), written.
@@ -63,10 +63,10 @@ def clearances(shapes: Any, parts: Any, outer: int, places: Any, limit: float, o
 
 @cached_njit
 def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) -> None:
-    """Write the ranges of each robot [m], infinite where a ray hits nothing, into `out` (N, beams).
+    """Write the lidar ranges of each robot [m] into `out` (N, beams); infinite if a ray hits nothing.
 
     Args:
-        standing: Standing shapes (n, 8).
+        standing: Static shapes (n, 8).
         origins: Positions and counter-clockwise angles of the lidars (N, 3) [m, m, rad].
         bearings: Bearings of the beams, counter-clockwise (beams,) [rad].
         reach: Length of a ray [m].
@@ -88,7 +88,7 @@ def scans(standing: Any, origins: Any, bearings: Any, reach: float, out: Any) ->
 
 @cached_njit
 def _buried(standing: Any, x: float, y: float) -> bool:
-    """Whether a point lies inside a shape that rays hit."""
+    """Return whether a point lies inside a shape that is visible to rays."""
     for index in range(len(standing)):
         shape = standing[index]
         dx, dy = x - shape[X], y - shape[Y]
@@ -103,30 +103,29 @@ Array = NDArray[np.float64]
 Vector = NDArray[np.float32]
 
 RATE = {"xy": 30, "xz": 60}
-"""Physics steps per second [Hz], by plane: the motion is exact between changes of the command."""
+"""Physics steps per second [Hz], by plane; motion is exact between command changes."""
 
 
 class PlanarFleet:
-    """Robots of one task, which do not see each other.
+    """Robots of one task, invisible to each other.
 
-    A robot moves, sees and ends like one in `NavigationEnv` with `engine="planar"`; one stream provides all lidar
-    noise.
+    Motion, sensing and termination match `NavigationEnv` with `engine="planar"`; all lidar noise comes from one stream.
 
     Attributes:
         task: Task of the robots.
-        system: Model of the task, which names and orders the states.
+        system: Model of the task, which defines names and order of the states.
         outcomes: Outcome of each robot's episode, values of `Outcome` (N,).
-        clearance: Distance of each robot to the nearest wall or obstacle [m] (N,), at most `SEARCH_LIMIT`.
+        clearance: Distance from each robot to the nearest wall or obstacle [m] (N,), at most `SEARCH_LIMIT`.
     """
 
     def __init__(self, task: NavigationTask, size: int, rate: int | None = None, seed: int = 0) -> None:
-        """Put the robots at the task's start.
+        """Place the robots at the task's start.
 
         Args:
             task: Task in an arena or on a map.
             size: Number of robots.
-            rate: Physics steps per second [Hz]; `RATE` unless given.
-            seed: Seed of the lidar's noise; robot i begins an episode of seed i.
+            rate: Physics steps per second [Hz]; `RATE` by default.
+            seed: Seed of the lidar noise; robot i starts an episode of seed i.
 
         Raises:
             SimulationError: The task is in a corridor, or its world changes between episodes.
@@ -168,12 +167,12 @@ class PlanarFleet:
         return len(self.outcomes)
 
     def begin(self, robot: int, seed: int, start: ArrayLike | None = None) -> None:
-        """Begin an episode of one robot.
+        """Start an episode of one robot.
 
         Args:
-            robot: Number of the robot.
+            robot: Index of the robot.
             seed: Seed of its start, as in `NavigationEnv`.
-            start: State (n,) to start in; drawn from the task's start set unless given.
+            start: State (n,) to start in; drawn from the task's start set by default.
         """
         if start is None:
             random, radius = stream(seed, Purpose.START), self.task.robot.radius
@@ -185,10 +184,10 @@ class PlanarFleet:
         self._judge(np.arange(robot, robot + 1))
 
     def step(self, actions: ArrayLike) -> NDArray[np.intp]:
-        """Hold actions (N, 2) in [-1, 1] for the task's time step; return the outcomes (N,).
+        """Hold actions (N, 2) in [-1, 1] for the task's time step, and return the outcomes (N,).
 
         Raises:
-            SimulationError: They are not two finite numbers per robot.
+            SimulationError: The actions are not two finite numbers per robot.
         """
         given = np.asarray(actions, dtype=float)
         if given.shape != (len(self), 2) or not np.isfinite(given).all():
@@ -237,7 +236,7 @@ class PlanarFleet:
         return np.clip(observed, self._low, self._high)
 
     def rewards(self) -> Array:
-        """Return the task's rewards at the current outcomes (N,) (thesis Eq. 3.9, 3.15, 3.17)."""
+        """Return the task's rewards for the current outcomes (N,) (thesis Eq. 3.9, 3.15, 3.17)."""
         rewards = self.task.rewards
         return terminal_reward(self.outcomes, rewards, self._tilted, running=rewards.intermediate)
 
@@ -246,7 +245,7 @@ class PlanarFleet:
         return self._motion.poses * (1.0, 1.0, self._sense)
 
     def _judge(self, robots: NDArray[np.intp]) -> None:
-        """Update the outcomes; the first event of an episode counts."""
+        """Update the outcomes; only the first event of an episode counts."""
         free = np.empty(len(robots))
         places = self._places()[robots]
         clearances(self._shapes, self._parts, self._outer, places, SEARCH_LIMIT, free)

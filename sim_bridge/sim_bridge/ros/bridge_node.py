@@ -1,4 +1,4 @@
-"""The bridge node: a simulated world that looks like robots on topics."""
+"""The bridge node: simulates robots and publishes their topics."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from sim_bridge.simulation.world import SimulatedWorld
 TICK = 0.005
 """Wall time between two slices of simulation [s]."""
 LONGEST_SLICE = 0.02
-"""Maximum wall time of a slice [s]; later steps are skipped, so that signals and services never wait."""
+"""Maximum wall time of a slice [s]; later steps are skipped, so signals and services are never delayed."""
 FREE_SLICE = 0.01
-"""Maximum wall time of a slice if the world runs as fast as it can [s]."""
+"""Maximum wall time of a slice when the world runs as fast as possible [s]."""
 LONGEST_STEP = 10.0
-"""Maximum simulation time of one StepWorld call [s]."""
+"""Maximum simulated time of one StepWorld call [s]."""
 
 
 class Bridge(SuiteNode):
-    """Runs a task's world in a physics engine in place of real robots: sensors out, commands in."""
+    """Runs a task's world in a physics engine in place of real robots: publishes sensors, receives commands."""
 
     PARAMETERS = PARAMETERS
 
@@ -106,7 +106,7 @@ class Bridge(SuiteNode):
         self._clock_publisher.publish(time.monotonic(), self._time)
 
     def _advance(self, steps: int, deadline: float = math.inf) -> None:
-        """Step the physics, at most until a steady wall time [s], and publish the messages that are due."""
+        """Step the physics until at most a steady wall time [s], and publish the messages that are due."""
         world = self._world
         end = world.steps + steps
         while world.steps < end and time.monotonic() < deadline:
@@ -186,7 +186,7 @@ class Bridge(SuiteNode):
         return response
 
     def status(self) -> Status:
-        """Report speed, episode, refused commands, and messages sent by topic."""
+        """Report speed, episode, rejected commands, and messages sent by topic."""
         factor = self._meter.read(time.monotonic(), 1e-9 * self._time)
         wanted = self.settings["speed_factor"]
         values: dict[str, object] = {
@@ -209,7 +209,7 @@ class Bridge(SuiteNode):
         return ok("running", **values)
 
     def diagnostics_stamp(self) -> Time:
-        """Return the simulation time, which also stamps messages."""
+        """Return the simulation time, which is also used for message stamps."""
         return to_stamp(self._time)
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""Names of topics and frames of one robot, and publishers of messages and transforms."""
+"""Topic and frame names of one robot, and publishers of messages and transforms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ except ImportError:  # the ROS wheels have none; scan and odometry need none eit
     TFMessage = None
 
 WORLD_FRAME = "map"
-"""Frame of the world, for ground truth."""
+"""World frame, used for ground truth."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,17 @@ class Frames:
     plane: str
 
     def topic(self, name: str) -> str:
-        """Return a topic or frame of this robot."""
+        """Return the full name of a topic or frame of this robot."""
         return f"{self.namespace}/{name}" if self.namespace else name
 
     @property
     def odom(self) -> str:
-        """Frame of the odometry's poses."""
+        """Frame of the odometry poses."""
         return self.topic("odom")
 
     @property
     def base(self) -> str:
-        """Frame that odometry moves: on the floor below a ground robot, at the centre of a flying one."""
+        """Frame moved by odometry: on the floor below a ground robot, at the centre of a flying one."""
         return self.topic("base_footprint" if self.plane == "xy" else "base_link")
 
     @property
@@ -56,7 +56,7 @@ class CountedPublisher:
     """A publisher that counts its messages.
 
     Attributes:
-        topic: Its resolved name.
+        topic: Resolved topic name.
         count: Number of messages sent.
     """
 
@@ -83,13 +83,13 @@ class TransformPublisher:
         self._fixed.publish(TFMessage(transforms=list(fixed)))
 
     def publish(self, transforms: Sequence[TransformStamped]) -> None:
-        """Send transforms that change with time."""
+        """Send time-varying transforms."""
         if self._moving is not None:
             self._moving.publish(TFMessage(transforms=list(transforms)))
 
 
 def odometry_transform(odometry: Odometry) -> TransformStamped:
-    """Return the transform of an odometry message."""
+    """Convert an odometry message to a transform."""
     position = odometry.pose.pose.position
     out = transform(odometry.header.frame_id, odometry.child_frame_id, (position.x, position.y, position.z))
     out.header.stamp = odometry.header.stamp
@@ -98,7 +98,7 @@ def odometry_transform(odometry: Odometry) -> TransformStamped:
 
 
 def transform(parent: str, child: str, translation: tuple[float, float, float]) -> TransformStamped:
-    """Return a transform without a rotation."""
+    """Create a transform without rotation."""
     out = TransformStamped(child_frame_id=child)
     out.header.frame_id = parent
     out.transform.translation.x, out.transform.translation.y, out.transform.translation.z = translation

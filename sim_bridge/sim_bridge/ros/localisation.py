@@ -1,4 +1,4 @@
-"""Publishes the pose of odometry's frame in the map (REP-105), like a localiser."""
+"""Publishes the pose of the odometry frame in the map (REP-105), like a localiser."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from sim_bridge.simulation.odometry import Array, Localiser, correction
 from sim_bridge.simulation.world import SimulatedWorld
 
 KINDS = ("none", "exact", "noisy")
-"""How a robot is localised: none (by the user's own localiser), true pose, or pose with errors."""
+"""Kinds of localisation: none (an external localiser is used), true pose, or pose with errors."""
 
 
 class LocalisationPublisher:
-    """`amcl_pose` and the transform from `map` to odometry's frame, for one robot.
+    """Publishes `amcl_pose` and the transform from `map` to the odometry frame, for one robot.
 
     Attributes:
         publisher: Publisher of `amcl_pose`; None without localisation.
@@ -43,7 +43,7 @@ class LocalisationPublisher:
         self.begin_episode()
 
     def begin_episode(self) -> None:
-        """Start localising for a new episode."""
+        """Start localisation for a new episode."""
         random = stream(self._world.seed, Purpose.LOCALISATION, self._robot)
         self._localiser = Localiser(self._error, self._heading_error, self._rate, random)
         self._schedule = Schedule(self._rate, self._world.options.rate)
@@ -54,7 +54,7 @@ class LocalisationPublisher:
 
         Args:
             time: Simulation time [ns].
-            odometry: Pose by odometry (3,).
+            odometry: Odometry pose (3,).
         """
         if self.publisher is None:
             return []
@@ -86,7 +86,7 @@ class LocalisationPublisher:
 
 
 def _turn(rotation: Any, angle: float, flat: bool) -> None:
-    """Write a rotation in the plane, counter-clockwise [rad], into a quaternion."""
+    """Write a planar rotation, counter-clockwise [rad], into a quaternion."""
     rotation.w = math.cos(0.5 * angle)
     if flat:
         rotation.z = math.sin(0.5 * angle)

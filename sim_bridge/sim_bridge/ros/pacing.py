@@ -1,15 +1,15 @@
-"""Paces simulation by wall time: the physics steps due, and the measured real-time factor."""
+"""Paces the simulation by wall time: physics steps due, and the measured real-time factor."""
 
 from __future__ import annotations
 
 import math
 
 LONGEST_GAP = 0.1
-"""Maximum wall time to catch up [s]; after a longer gap (a pause, a busy machine) the rest is dropped."""
+"""Maximum wall time to catch up [s]; the rest of a longer gap (a pause, a busy machine) is dropped."""
 
 
 class Pacer:
-    """Counts the physics steps that keep the world at a factor of wall time; lost time is not caught up."""
+    """Counts the physics steps due at a given real-time factor."""
 
     def __init__(self, rate: int) -> None:
         """Pace a world of `rate` physics steps per second [Hz]."""
@@ -22,7 +22,7 @@ class Pacer:
 
         Args:
             now: Steady wall time [s].
-            factor: Simulation time per wall time.
+            factor: Real-time factor: simulation time per wall time.
         """
         gap = 0.0 if self._last is None else min(now - self._last, LONGEST_GAP)
         self._last = now
@@ -32,18 +32,18 @@ class Pacer:
         return steps
 
     def rest(self) -> None:
-        """Drop the steps due, because the world is paused."""
+        """Discard the steps due, because the world is paused."""
         self._last, self._owed = None, 0.0
 
 
 class SpeedMeter:
-    """Measures simulation time per wall time from one reading to the next."""
+    """Measures the real-time factor between consecutive readings."""
 
     def __init__(self) -> None:
         self._begin: tuple[float, float] | None = None
 
     def read(self, now: float, simulated: float) -> float:
-        """Return the factor since the last reading; NaN for the first.
+        """Return the real-time factor since the last reading; NaN for the first reading.
 
         Args:
             now: Steady wall time [s].
@@ -56,10 +56,10 @@ class SpeedMeter:
 
 
 class Schedule:
-    """Schedules something at a frequency in simulation time: tells at which physics steps it is due, from step 0."""
+    """Schedules an event at a frequency in simulation time, given in physics steps, starting at step 0."""
 
     def __init__(self, frequency: float, rate: int) -> None:
-        """Begin at step 0.
+        """Start at step 0.
 
         Args:
             frequency: Frequency [Hz], at most `rate`.
@@ -70,7 +70,7 @@ class Schedule:
         self.next = 0
 
     def due(self, step: int) -> bool:
-        """Return whether it is due at this step; if so, schedule the next time."""
+        """Return whether the event is due at this step; if so, schedule the next one."""
         if step < self.next:
             return False
         self._count += 1

@@ -29,7 +29,7 @@ class RobotPublisher:
     """Scan, odometry, ground truth, episode status, transforms and model of one robot of a world.
 
     Attributes:
-        publishers: One per topic.
+        publishers: Publishers, one per topic.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class RobotPublisher:
         self._localisation.begin_episode()
 
     def publish_scan(self, time: int) -> None:
-        """Send the ranges at simulation time `time` [ns]."""
+        """Publish the ranges at simulation time `time` [ns]."""
         message, scan = self._scan_message, self._world.laser_scan(self._robot)
         message.header.stamp = to_stamp(time)
         message.ranges = float32_array(scan.ranges)
@@ -76,7 +76,7 @@ class RobotPublisher:
         self._scan.publish(message)
 
     def publish_odometry(self, time: int) -> None:
-        """Send odometry, transforms, joint states and the ground truth at simulation time `time` [ns]."""
+        """Publish odometry, transforms, joint states and the ground truth at simulation time `time` [ns]."""
         reading = self._world.odometry(self._robot)
         fill_odometry(self._odom_message, self._frames.plane, time, reading)
         self._odom.publish(self._odom_message)
@@ -93,7 +93,7 @@ class RobotPublisher:
         self._truth.publish(self._truth_message)
 
     def publish_episode(self, time: int, number: int) -> None:
-        """Send the state of episode `number` at simulation time `time` [ns]."""
+        """Publish the state of episode `number` at simulation time `time` [ns]."""
         episode, message = self._world.episode(self._robot), self._episode_message
         message.header.stamp = to_stamp(time)
         message.episode, message.seed = number, self._world.seed
@@ -113,7 +113,7 @@ class ClockPublisher:
         self._wall, self._time = -math.inf, -1
 
     def publish(self, now: float, time: int) -> None:
-        """Send simulation time `time` [ns] if it is due at steady wall time `now` [s]."""
+        """Publish simulation time `time` [ns] if due at steady wall time `now` [s]."""
         waited, moved = now - self._wall, 1e-9 * (time - self._time)
         if (waited >= self._period and (moved >= self._period or self._time < 0)) or waited >= _LATE_JOINER_S:
             self._wall, self._time = now, time

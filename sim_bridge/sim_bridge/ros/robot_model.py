@@ -29,7 +29,7 @@ class _Joint:
 
 
 class RobotModel:
-    """Messages about the model of one robot.
+    """Messages that describe the model of one robot.
 
     Attributes:
         description: The URDF file.
@@ -55,13 +55,13 @@ class RobotModel:
         self._state = JointState(name=list(WHEELS))
 
     def joint_state(self, stamp: Time, angles: tuple[float, float]) -> JointState:
-        """Return the angles of the left and right wheel [rad] as a message."""
+        """Return the angles of the left and right wheel [rad] as a JointState message."""
         self._state.header.stamp = stamp
         self._state.position = list(angles)
         return self._state
 
     def wheels(self, stamp: Time, angles: tuple[float, float]) -> list[TransformStamped]:
-        """Return the transforms to the wheels."""
+        """Return the transforms of the wheels."""
         out = []
         for name, angle in zip(WHEELS, angles, strict=True):
             wheel = self._transform(self._joints[name])
@@ -77,7 +77,7 @@ class RobotModel:
 
 
 def _read(joint: ET.Element) -> _Joint:
-    """Return the transform of a joint that is rotated about the vertical only, such as a lidar's."""
+    """Return the transform of a joint rotated only about the vertical axis, such as a lidar's."""
     links = {part.tag: part.get("link", "") for part in joint}
     origin = joint.find("origin")
     x, y, z = (0.0, 0.0, 0.0) if origin is None else map(float, origin.get("xyz", "0 0 0").split())

@@ -1,4 +1,4 @@
-"""Publishes the world of an episode: map and walls, and its moving obstacles, for navigators and viewers."""
+"""Publishes the world of an episode for navigators and viewers: map, walls and moving obstacles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class MapPublisher:
         self._sent: World | None = None
 
     def publish(self, time: int) -> None:
-        """Send the episode's map and walls at simulation time `time` [ns], unless they are unchanged."""
+        """Publish the episode's map and walls at simulation time `time` [ns] if they have changed."""
         world = self._world
         if world.geometry == self._sent:
             return
@@ -47,7 +47,7 @@ class MapPublisher:
         self._walls.publish(MarkerArray(markers=markers))
 
     def _mapped(self) -> OccupancyMap:
-        """Return the task's map, without its obstacles, or the map of its arena or corridor."""
+        """Return the task's own map, without its obstacles, or else a map of its arena or corridor."""
         world = self._world
         if world.task.map is not None:
             return world.task.map.map
@@ -78,7 +78,7 @@ class MoverPublisher:
     """Publishes the movers of a world.
 
     Attributes:
-        publishers: One per topic.
+        publishers: Publishers, one per topic.
     """
 
     def __init__(self, node: Node, world: SimulatedWorld) -> None:
@@ -92,7 +92,7 @@ class MoverPublisher:
         self._shown = MarkerArray(markers=[self._marker(number, radius) for number, radius in enumerate(radii)])
 
     def publish(self, time: int) -> None:
-        """Send positions and velocities at simulation time `time` [ns]."""
+        """Publish positions and velocities at simulation time `time` [ns]."""
         states, stamp = self._world.movers(), to_stamp(time)
         self._message.header.stamp = stamp
         rows = zip(states.positions.tolist(), states.velocities.tolist(), strict=True)

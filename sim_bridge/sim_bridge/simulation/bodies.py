@@ -1,4 +1,4 @@
-"""Robot bodies that carry out commands in a physics world, behind one protocol for all engines.
+"""Robot bodies that execute commands in a physics world, behind one protocol for all engines.
 
 A body takes two commands within its limits, and has a pose in the task's plane.
 """
@@ -29,7 +29,7 @@ class Body(Protocol):
     """A robot's body in the physics world.
 
     Attributes:
-        radius: Radius of a circle around its origin that contains it [m].
+        radius: Radius of a circle around its origin that encloses the body [m].
         bounds: Minimum and maximum commands (2, 2): [v, omega] [m/s, rad/s] or [t1, t2] [N].
         idle: Command without input (2,).
     """
@@ -39,7 +39,7 @@ class Body(Protocol):
     idle: Array
 
     def act(self, command: Array) -> None:
-        """Carry out a command (2,) within `bounds` for the next physics step."""
+        """Apply a command (2,) within `bounds` for the next physics step."""
 
     def pose(self) -> Array:
         """Return x, y, theta or x, z, psi (3,) [m, m, rad]."""
@@ -51,16 +51,16 @@ class Body(Protocol):
         """Return the state of the task's system (n,); None if it follows from pose and velocity."""
 
     def quaternion(self) -> tuple[float, float, float, float]:
-        """Return its attitude (x, y, z, w)."""
+        """Return the body's attitude (x, y, z, w)."""
 
     def sensor(self) -> SensorPose:
-        """Return the frame of its lidar."""
+        """Return the lidar's frame."""
 
     def wheel_angles(self) -> tuple[float, float] | None:
-        """Return the angles of its left and right wheel [rad]; None without wheels."""
+        """Return the angles of the left and right wheel [rad]; None without wheels."""
 
     def top_speed(self, horizon: float) -> float:
-        """Return a bound on the speed of any of its points within the next `horizon` seconds [m/s]."""
+        """Return an upper bound on the speed of any point of the body within the next `horizon` seconds [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +68,14 @@ class DriveParameters:
     """Parameters of a differential drive.
 
     Attributes:
-        urdf: Path of its URDF file.
+        urdf: Path of the URDF file.
         wheel_radius: Radius of the wheels [m].
         wheel_separation: Distance between the wheels [m].
         torque: Maximum torque of one wheel [N m].
         lag: Time constant of the wheel speed [s].
         bounds: Minimum and maximum v [m/s] and omega [rad/s]; None for the task's command bounds.
         lidar: Position of the lidar in base_footprint (3,) [m].
-        lidar_yaw: Direction of its zero bearing [rad].
+        lidar_yaw: Direction of the lidar's zero bearing [rad].
     """
 
     urdf: str
@@ -89,10 +89,10 @@ class DriveParameters:
 
 
 def drive_of(task: NavigationTask) -> DriveParameters:
-    """Return the drive of a task's robot.
+    """Return the drive parameters of a task's robot.
 
     Raises:
-        SimulationError: It has no wheels.
+        SimulationError: The robot has no wheels.
     """
     robot = task.robot.robot
     if robot is None or robot.wheels is None:
@@ -111,13 +111,13 @@ class DifferentialDrive:
     def __init__(
         self, base: WheelBase, drive: DriveParameters, bounds: Array, radius: float, options: SimulationOptions
     ) -> None:
-        """Stand still.
+        """Start at rest.
 
         Args:
             base: The robot in the engine.
             drive: Parameters of the drive.
             bounds: Minimum and maximum commands, if the drive has none (2, 2).
-            radius: Radius of a circle that contains the robot [m].
+            radius: Radius of a circle that encloses the robot [m].
             options: Settings of the episode.
         """
         self._base, self._drive = base, drive
@@ -176,18 +176,18 @@ class DifferentialDrive:
 class PlanarQuadrotor:
     """Two rotor pairs in the x-z plane, thesis Eq. 3.10; a `Body`.
 
-    An engine's step alone is first order. Here joint speeds lag by half a step (leapfrog, second order): the first push
-    lasts half a step, and when the command changes, the old and the new one push for half a step each.
+    Plain engine steps are first order. Here joint speeds lag by half a step (leapfrog, second order): the first force
+    lasts half a step, and when the command changes, the old and the new forces act for half a step each.
     """
 
     def __init__(self, joints: PlanarJoints, rate: int, system: System, radius: float) -> None:
-        """Fly freely until the first command.
+        """Float freely until the first command.
 
         Args:
             joints: The robot in the engine.
             rate: Physics steps per second [Hz].
             system: Model of thesis Eq. 3.10 with its parameters.
-            radius: Radius of a circle that contains the robot [m].
+            radius: Radius of a circle that encloses the robot [m].
         """
         self._joints, self._rate = joints, rate
         self._rates = system.equations(math, system.parameters)
@@ -250,7 +250,7 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
     """Add the task's robot to the world at a start state (n,), in its system's order.
 
     Raises:
-        SimulationError: The body cannot have such a state.
+        SimulationError: The state is invalid for the body.
     """
     named = dict(zip(system.state_names, state.tolist(), strict=True))
     radius = task.robot.radius
@@ -270,13 +270,13 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
 
 
 def _robot(task: NavigationTask) -> Robot:
-    """Return the robot of a task whose body is not a model's."""
+    """Return the robot of a task whose body is not `MODEL`."""
     assert task.robot.robot is not None
     return task.robot.robot
 
 
 def _take(task: NavigationTask, state: Mapping[str, float], *names: str) -> Array:
-    """Return components of a state, by name, as an array."""
+    """Return state components, selected by name, as an array."""
     if missing := set(names) - state.keys():
         raise SimulationError(
             f"task '{task.name}': body '{task.robot.body}' needs a system with {', '.join(sorted(missing))}: "

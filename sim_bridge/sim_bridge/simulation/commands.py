@@ -1,4 +1,4 @@
-"""The channel of a command from the network to the motors: limits, truncation, delay and time-out."""
+"""Command path from network to motors: limits, truncation, delay and time-out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class CommandChannel:
-    """The last command of a robot as its motors see it, with times in physics steps."""
+    """The latest command of a robot as seen by its motors; times are in physics steps."""
 
     def __init__(self, bounds: Array, idle: Array, truncation: bool = False, delay: int = 0, timeout: int = 0) -> None:
         """Start without a command.
@@ -29,7 +29,7 @@ class CommandChannel:
         self._current, self._expires = idle, -1
 
     def send(self, command: ArrayLike, step: int) -> bool:
-        """Accept a command (2,) that arrives before physics step `step`; return False if it is refused."""
+        """Accept a command (2,) that arrives before physics step `step`; return False if it is rejected."""
         values = np.array(command, dtype=float)
         if values.shape != (2,) or not np.isfinite(values).all():
             return False
@@ -40,7 +40,7 @@ class CommandChannel:
         return True
 
     def at(self, step: int) -> Array:
-        """Return the command (2,) of the motors in physics step `step`; steps must not decrease."""
+        """Return the motor command (2,) in physics step `step`; steps must not decrease."""
         while self._waiting and self._waiting[0][0] <= step:
             begin, self._current = self._waiting.popleft()
             self._expires = begin + self._timeout if self._timeout else -1

@@ -15,7 +15,7 @@ from sim_bridge.simulation.options import SimulationOptions
 
 
 class Purpose(IntEnum):
-    """Purpose of a stream."""
+    """Purpose of a random stream."""
 
     START = 0
     WIDTH = 1
@@ -28,7 +28,7 @@ class Purpose(IntEnum):
 
 
 def stream(seed: int, purpose: Purpose, robot: int = 0) -> np.random.Generator:
-    """Return a random stream of an episode's seed."""
+    """Return the random stream for one purpose of an episode's seed."""
     return np.random.default_rng((seed, robot, purpose))
 
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 class EpisodeDraws(NamedTuple):
-    """Everything that an episode's seed decides before it begins.
+    """Everything determined by the seed before an episode starts.
 
     Attributes:
         geometry: Walls and obstacles.
@@ -60,7 +60,7 @@ def draw_episode(
     width: float | None = None,
     start: Array | None = None,
 ) -> EpisodeDraws:
-    """Draw an episode.
+    """Draw an episode from its seed.
 
     Args:
         task: Task of the episode.
@@ -72,7 +72,7 @@ def draw_episode(
         start: State (n,) in which the only robot starts; None to draw it.
 
     Raises:
-        SimulationError, TaskError: The width does not suit the task, or there is no room for the robots.
+        SimulationError, TaskError: The width is invalid for the task, or there is no room for the robots.
     """
     corridor = task.corridor
     if corridor is not None and width is None and options.randomise_width:
@@ -86,10 +86,10 @@ def draw_episode(
 
 
 def checked_start(start: ArrayLike, system: System, robots: int) -> Array:
-    """Check a given start and return it as a state (n,).
+    """Validate a given start and return it as a state (n,).
 
     Raises:
-        SimulationError: It is not a state of the system, or there are several robots.
+        SimulationError: The start is not a state of the system, or there are several robots.
     """
     state = np.array(start, dtype=float)
     if robots > 1 or state.shape != (len(system.state_names),) or not np.isfinite(state).all():

@@ -19,8 +19,8 @@ class Contact:
     """The contact that ended an episode.
 
     Attributes:
-        speed: Maximum speed of any point of the robot just before [m/s]: about 0 if it stood.
-        mover: Number of the mover that it hit; None for a wall, an obstacle or another robot.
+        speed: Maximum speed of any point of the robot just before contact [m/s]; about 0 for a stationary robot.
+        mover: Index of the mover hit; None for a wall, an obstacle or another robot.
     """
 
     speed: float
@@ -28,7 +28,7 @@ class Contact:
 
     @property
     def words(self) -> str:
-        """The contact in words, for people."""
+        """Description of the contact."""
         met = "" if self.mover is None else f"with mover {self.mover} "
         return f"{met}at {self.speed:.2f} m/s"
 
@@ -40,7 +40,7 @@ class EpisodeState:
     Attributes:
         outcome: Outcome, set by the first terminal event.
         tilted: Whether the collision is a tilt beyond the task's limit.
-        contact: Contact that ended it, or None.
+        contact: Contact that ended the episode, or None.
         clearance: Last measured distance to a wall, obstacle, mover or robot [m].
         smallest_clearance: Minimum clearance of the episode [m].
         progress: Fraction of the path from start to goal; NaN without a path.
@@ -61,12 +61,12 @@ class EpisodeState:
             self.end(Outcome.COLLISION)
 
     def end(self, outcome: Outcome, tilted: bool = False) -> None:
-        """Set the outcome, unless it is set."""
+        """Set the outcome unless it is already set."""
         if self.outcome is Outcome.RUNNING:
             self.outcome, self.tilted = outcome, tilted
 
     def reward(self, rewards: RewardSpec) -> float:
-        """Return the task's reward at the present outcome (thesis Eq. 3.9, 3.15, 3.17)."""
+        """Return the task's reward for the current outcome (thesis Eq. 3.9, 3.15, 3.17)."""
         return float(terminal_reward(self.outcome, rewards, self.tilted, running=rewards.intermediate))
 
 
@@ -87,14 +87,14 @@ class TerminationChecker:
         return math.nan if self._path is None else float(self._path(pose)[0])
 
     def check(self, episode: EpisodeState, state: Array, pose: Array, elapsed: float, start_s: float) -> None:
-        """Update an episode.
+        """Update the state of an episode.
 
         Args:
-            episode: State of the episode, which is changed in place.
+            episode: State of the episode, changed in place.
             state: State in the system's order (n,).
             pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad].
             elapsed: Simulation time since the start [s].
-            start_s: Arc length at which the robot started [m].
+            start_s: Arc length at the robot's start [m].
         """
         if self._path is not None:
             state = self._path(pose)

@@ -1,6 +1,6 @@
-"""A planar lidar: ray casts, noise and drop-out; ranges by REP-117, or as TurtleBot3 drivers write them.
+"""A planar lidar: ray casts, noise and drop-out; ranges follow REP-117 or the TurtleBot3 drivers.
 
-In REP-117, +inf means nothing within reach, -inf something too close to measure, and NaN a lost beam.
+In REP-117, +inf means no echo within range, -inf an object too close to measure, and NaN a lost beam.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from ctrl_rl_core import ScanGeometry
 from sim_bridge.engines.engine import Engine
 
 LOST_BEAM = {"nan": np.nan, "inf": np.inf, "zero": 0.0}
-"""Readings of a lost beam by name; the LDS-01 of the burger writes 0."""
+"""Values of a lost beam by name; the LDS-01 of the burger writes 0."""
 LIDARS = ("task", "lds01", "lds02")
-"""The task's own by REP-117; an LDS-01: zero for whatever is not measured; an LDS-02: NaN for it, a count of beams that
-varies with the motor's speed, and a claim to measure from 0 to 100 m."""
+"""Lidar kinds: the task's own, an LDS-01, or an LDS-02.
+
+The task's own follows REP-117. The LDS-01 writes zero for missing measurements. The LDS-02 writes NaN for them, has a
+beam count that varies with the motor speed, and claims a range of 0 to 100 m.
+"""
 
 _LDS02_BEAMS = (267.0, 274.0)
 _LDS02_REACH = (0.16, 8.0)
@@ -27,11 +30,11 @@ _LDS02_CLAIM = (0.0, 100.0)
 
 @dataclass(frozen=True)
 class SensorPose:
-    """Position of a lidar, and the plane it scans.
+    """Position of a lidar and its scan plane.
 
     Attributes:
         origin: Position of the lidar (3,) [m].
-        axes: (2, 3) unit vectors: bearing 0, and bearing 90 deg.
+        axes: Unit vectors of bearings 0 and 90 deg (2, 3).
     """
 
     origin: NDArray[np.float64]
@@ -46,9 +49,9 @@ class LidarScan:
         ranges: Measured distances (beams,) [m].
         angle_min: Bearing of the first beam [rad].
         angle_increment: Angle between beams [rad].
-        range_min: Minimum distance that the driver claims to measure [m].
-        range_max: Maximum distance that it claims [m].
-        yaw: Direction of its zero bearing in the robot's frame [rad].
+        range_min: Minimum distance stated by the driver [m].
+        range_max: Maximum distance stated by the driver [m].
+        yaw: Direction of the zero bearing in the robot's frame [rad].
     """
 
     ranges: NDArray[np.float32]
@@ -66,7 +69,7 @@ class LidarScan:
 
 
 class Lidar:
-    """The beams of a task's lidar, or of a real one in its place.
+    """The task's lidar, or a real lidar model in its place.
 
     Attributes:
         spec: Lidar of the task.
@@ -84,21 +87,21 @@ class Lidar:
         self._lost = LOST_BEAM[lost_beam]
 
     def set_errors(self, noise: float | None, dropout: float | None) -> None:
-        """Set the standard deviation of a range [m] and the probability that a beam is lost; None for the task's."""
+        """Set the range noise (standard deviation) [m] and the beam loss probability; None for the task's values."""
         self.noise = self.spec.noise if noise is None else noise
         self.dropout = self.spec.dropout if dropout is None else dropout
 
     def scan(
         self, engine: Engine, frame: SensorPose, robot: int, random: np.random.Generator, buried: bool = False
     ) -> LidarScan:
-        """Return one scan.
+        """Take one scan.
 
         Args:
             engine: World to scan.
             frame: Frame of the sensor.
-            robot: Number of the robot that carries it, which it ignores.
-            random: Source of noise, drop-out, and a varying number of beams.
-            buried: Whether the sensor is inside a shape, so that all beams are too close.
+            robot: Index of the robot that carries the lidar, which the rays ignore.
+            random: Random generator for noise, drop-out and the number of beams.
+            buried: Whether the sensor is inside a shape, which makes all beams too close.
         """
         bearings, increment, (least, largest) = self._beams(random)
         if buried:
@@ -122,7 +125,7 @@ class Lidar:
         return LidarScan(ranges.astype(np.float32), float(bearings[0]), increment, *claim)
 
     def _beams(self, random: np.random.Generator) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
-        """Return the bearings of this scan, their increment, and its range limits."""
+        """Return the bearings of this scan, their increment, and the range limits."""
         if self.kind != "lds02":
             return self.bearings, self.spec.angle_increment, (self.spec.range.low, self.spec.range.high)
         count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, the count the increment

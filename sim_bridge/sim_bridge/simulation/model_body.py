@@ -1,4 +1,4 @@
-"""A disc-shaped body that moves exactly by a system model, for own robots without a URDF."""
+"""A disc-shaped body that moves exactly as a system model, for custom robots without a URDF."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIDAR_HEIGHT = 0.1
 
 
 def advance(system: System, states: Array, commands: Array, step: float) -> Array:
-    """Return states (..., n) a step [s] later, clipped to the model's bounds."""
+    """Integrate states (..., n) over one step [s], clipped to the model's bounds."""
     low = [-math.inf if state.periodic else state.lower for state in system.states]
     high = [math.inf if state.periodic else state.upper for state in system.states]
     return system.wrap(np.clip(system.step(states, commands, dt=step), low, high))
@@ -67,7 +67,7 @@ class ModelBody:
         return self._of(self._system.dynamics(self._state, self._command))
 
     def _of(self, values: Array) -> Array:
-        """Pick the pose components (3,) from a state or from its derivative."""
+        """Extract the pose components (3,) from a state or from its derivative."""
         x, second = values[self._places]
         return np.array((x, second, 0.0 if self._angle is None else values[self._angle]))
 

@@ -1,4 +1,4 @@
-"""The moving obstacles of a world in one episode."""
+"""Moving obstacles of a world in one episode."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _STILL: Pair = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class MoverStates:
-    """Positions of the movers, in the order of the task file.
+    """Positions and velocities of the movers, in task-file order.
 
     Attributes:
-        positions: Positions of their centres (m, 2) [m].
-        velocities: Their velocities (m, 2) [m/s].
-        radii: Their radii (m,) [m].
+        positions: Positions of the centres (m, 2) [m].
+        velocities: Velocities (m, 2) [m/s].
+        radii: Radii (m,) [m].
     """
 
     positions: Array
@@ -43,20 +43,20 @@ class _Mover:
 
 
 class Movers:
-    """Moves a world's movers by their plans, step by step.
+    """Moves a world's movers along their planned paths, step by step.
 
     Attributes:
-        top_speed: Bound on their speeds [m/s].
+        top_speed: Upper bound of the movers' speeds [m/s].
     """
 
     def __init__(self, engine: Engine, plans: Sequence[MoverPlan], rate: int, robot_radius: float) -> None:
-        """Put them at the start of their paths.
+        """Place the movers at the start of their paths.
 
         Args:
-            engine: World to add them to.
+            engine: Engine to which the movers are added.
             plans: Paths, speeds and sizes of the movers.
             rate: Physics steps per second [Hz].
-            robot_radius: Radius of a circle that contains a robot [m].
+            robot_radius: Radius of a circle that encloses a robot [m].
         """
         self._engine, self._rate, self._robot_radius = engine, rate, robot_radius
         self._movers = []
@@ -71,7 +71,7 @@ class Movers:
         return len(self._movers)
 
     def advance(self, step: int, robots: Callable[[], list[Pair]]) -> None:
-        """Set their velocities for the next physics step.
+        """Set the movers' velocities for the next physics step.
 
         Args:
             step: Physics steps since the start of the episode.
@@ -98,12 +98,12 @@ class Movers:
         mover.position, mover.velocity = there, velocity
 
     def _blocked(self, mover: _Mover, there: Pair, gap: float, robots: Sequence[Pair]) -> bool:
-        """Return whether moving on would bring it too close to a robot."""
+        """Return whether moving on would bring a mover too close to a robot."""
         least = mover.plan.radius + self._robot_radius + gap
         return any(math.dist(there, robot) < min(least, math.dist(mover.position, robot)) for robot in robots)
 
     def states(self) -> MoverStates:
-        """Return their current positions."""
+        """Return the current positions and velocities."""
         return MoverStates(
             np.array([mover.position for mover in self._movers]).reshape(-1, 2),
             np.array([mover.velocity for mover in self._movers]).reshape(-1, 2),
@@ -116,6 +116,6 @@ class Movers:
         return bool((np.linalg.norm(states.positions - place, axis=1) < states.radii).any())
 
     def touching(self, robot: int, reach: float) -> int | None:
-        """Return the number of a mover that a robot touches or is within `reach` [m] of, or None."""
+        """Return the index of a mover that a robot touches or is within `reach` [m] of, or None."""
         distances = [self._engine.mover_distance(robot, number, reach) for number in range(len(self))]
         return int(np.argmin(distances)) if distances and min(distances) < reach else None

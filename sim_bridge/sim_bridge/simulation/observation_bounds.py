@@ -12,7 +12,7 @@ Vector = NDArray[np.float32]
 
 
 def observation_bounds(task: NavigationTask) -> tuple[tuple[str, ...], Vector, Vector]:
-    """Return the names, the minimum and the maximum values of an observation, in SI units (n,), (n,), (n,)."""
+    """Return names, minimum and maximum of an observation in SI units, (n,) each."""
     ranges = state_ranges(task)
     beams, reach = task.lidar.beams, task.lidar.range
     names = (*ranges, *(f"beam_{index}" for index in range(beams)))

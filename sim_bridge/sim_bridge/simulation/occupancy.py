@@ -1,4 +1,4 @@
-"""A world as the occupancy map that a robot would make."""
+"""A world as the occupancy map that a robot would build."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ctrl_rl_core.navigation import FREE, OCCUPIED
 from ctrl_rl_core import NavigationTask, OccupancyMap, World
 
 RESOLUTION = 0.05
-"""Side length of a cell [m], larger in very large worlds."""
+"""Side length of a cell [m]; larger in very large worlds."""
 _MOST_CELLS = 1_000_000
 _MARGIN = 0.3
 
 
 def draw_map(task: NavigationTask, world: World) -> OccupancyMap:
-    """Return the map of a world in the x-y plane: cells that a wall or obstacle touches are occupied.
+    """Return the map of a world in the x-y plane; cells touched by a wall or obstacle are occupied.
 
     Args:
         task: Task of the world, which bounds the map.

@@ -1,4 +1,4 @@
-"""How a robot measures where it is: odometry that drifts like wheel odometry, and a localiser with errors."""
+"""Pose measurement: drifting wheel odometry, and a localiser with errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OdometryReading:
-    """Measured motion.
+    """Measured pose and velocity.
 
     Attributes:
         pose: Pose x, y, theta or x, z, psi (3,) [m, m, rad], in a frame that was `map` at the start.
@@ -27,10 +27,10 @@ class OdometryReading:
 
 
 class Odometry:
-    """Integrates the robot's motion from its start pose; without drift it is the true pose in the frame `map`.
+    """Integrates the robot's motion from its start pose; without drift, returns the true pose in the frame `map`.
 
-    Each episode draws three errors of standard deviation `drift`: of the distance per metre, of the turn per radian,
-    and a turn per metre [rad/m] (wheels of unequal size).
+    Each episode draws three errors with standard deviation `drift`: relative errors of distance and rotation, and a
+    rotation per metre [rad/m] (wheels of unequal size).
     """
 
     def __init__(self, drift: float, random: np.random.Generator, pose: Array, wheel_radius: float = 1.0) -> None:
@@ -40,7 +40,7 @@ class Odometry:
             drift: Standard deviation of the errors.
             random: Random generator of the errors.
             pose: Pose at the start (3,).
-            wheel_radius: True radius of the wheels relative to the assumed one.
+            wheel_radius: Ratio of the true to the assumed wheel radius.
         """
         self._distance, self._turn, self._bend = drift * random.standard_normal(3)
         if wheel_radius != 1.0:
@@ -53,10 +53,10 @@ class Odometry:
         self.pose = pose.copy()
 
     def update(self, true_pose: Array) -> Array:
-        """Return the pose (3,): two coordinates of the plane [m] and the angle, counter-clockwise [rad].
+        """Return the measured pose (3,): two coordinates of the plane [m] and the counter-clockwise angle [rad].
 
         Args:
-            true_pose: True pose (3,), less than half a turn after the last one.
+            true_pose: True pose (3,), less than half a turn from the previous one.
         """
         if not self._drifting:
             self.pose = true_pose.copy()
@@ -106,7 +106,7 @@ class Localiser:
         return self._size**2
 
     def update(self, true_pose: Array) -> Array:
-        """Return the next pose."""
+        """Return the next measured pose."""
         told = np.add(true_pose, self._error)
         fresh = self._size * self._random.standard_normal(3)
         self._error = self._kept * self._error + math.sqrt(1.0 - self._kept**2) * fresh
@@ -114,7 +114,7 @@ class Localiser:
 
 
 def correction(pose: Array, odometry: Array) -> Array:
-    """Return the pose of odometry's frame in the map, given the robot's pose in both."""
+    """Return the pose of the odometry frame in the map, given the robot's pose in both."""
     turn = float(pose[2] - odometry[2])
     offset = complex(*pose[:2]) - cmath.rect(1.0, turn) * complex(*odometry[:2])
     return np.array((offset.real, offset.imag, turn))

@@ -17,24 +17,24 @@ class SimulationOptions:
     """Settings of a simulation.
 
     Attributes:
-        engine: Physics engine: "pybullet", "mujoco", "planar" (no contact forces, several times as fast), or "auto" for
+        engine: Physics engine: "pybullet", "mujoco", "planar" (no contact forces, several times faster), or "auto" for
             PyBullet if installed, else MuJoCo.
         rate: Physics steps per second [Hz].
         gui: Whether PyBullet's window is shown.
         scan_noise: Standard deviation of a range [m]; None for the task's.
-        scan_dropout: Probability that a beam is lost, None for the task's.
-        scan_rate: Scans per second [Hz], None for the task's.
-        lost_beam: Reading of a lost beam of the task's lidar: "nan", "inf" or "zero".
+        scan_dropout: Probability that a beam is lost; None for the task's.
+        scan_rate: Scans per second [Hz]; None for the task's.
+        lost_beam: Value of a lost beam of the task's lidar: "nan", "inf" or "zero".
         lidar: Name of a lidar in `sim_bridge.LIDARS`.
         odom_drift: Standard deviation of odometry's relative errors.
         command_truncation: Whether to truncate a drive's commands to hundredths, as the TurtleBot3 firmware does.
         command_delay: Time from the arrival of a command to its effect [s].
         command_timeout: Age of a command after which the robot goes idle [s]; 0 for never.
         friction: Friction coefficient between wheels and floor; the planar engine's wheels never slip.
-        wheel_radius: True radius of the wheels relative to the one that robot and odometry assume.
+        wheel_radius: Ratio of the true wheel radius to the one assumed by robot and odometry.
         motor_lag: Time constant of the wheels' speed [s]; None for the robot's own.
-        randomise: Whether each episode draws from the task's ranges (`randomisation` of its file), instead of these
-            settings.
+        randomise: Whether each episode draws settings from the task's ranges (`randomisation` in its file) instead of
+            using these.
         randomise_width: Whether resets without a width draw the corridor's width from the task's range.
     """
 
@@ -57,7 +57,7 @@ class SimulationOptions:
     randomise_width: bool = False
 
     def drawn(self, ranges: Mapping[str, Interval], random: np.random.Generator) -> SimulationOptions:
-        """Return the settings of one episode, drawn from ranges by name if randomised."""
+        """Return the settings of one episode; if randomised, drawn from ranges by name."""
         if not ranges or not self.randomise:
             return self
         numbers: dict[str, Any] = {name: random.uniform(low, high) for name, (low, high) in sorted(ranges.items())}
@@ -65,10 +65,10 @@ class SimulationOptions:
 
 
 def whole_steps(task: NavigationTask, rate: int) -> int:
-    """Return the number of physics steps in a task's time step.
+    """Return the number of physics steps in the task's time step.
 
     Raises:
-        SimulationError: It is not a whole number at this rate [Hz].
+        SimulationError: The number is not an integer at this rate [Hz].
     """
     steps = task.episode.time_step * rate
     if abs(steps - round(steps)) > 1e-6 or steps < 0.5:

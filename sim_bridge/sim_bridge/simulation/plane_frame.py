@@ -1,4 +1,4 @@
-"""Converts poses and velocities in a task's plane between its system's states and a body's axes."""
+"""Converts planar poses and velocities between system states and body axes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class PlaneFrame:
 
         Args:
             pose: x, y, theta or x, z, psi (3,) [m, m, rad].
-            velocity: Its rates (3,) [m/s, m/s, rad/s].
+            velocity: Rates of the pose (3,) [m/s, m/s, rad/s].
         """
         angle = wrap_one(float(pose[2]))
         if self._plane == "xy":
@@ -37,7 +37,7 @@ class PlaneFrame:
         return np.array([values[name] for name in self._names])
 
     def placed(self, state: Array, pose: Array) -> Array:
-        """Return a state (n,) with the position and the heading of a pose (3,)."""
+        """Return a state (n,) with its position and heading replaced by a pose (3,)."""
         out = state.copy()
         for names, value in ((("x",), pose[0]), ((self._plane[1],), pose[1]), (ANGLES, wrap_one(float(pose[2])))):
             index = next((index for index, name in enumerate(self._names) if name in names), None)
@@ -46,15 +46,15 @@ class PlaneFrame:
         return out
 
     def in_body_axes(self, angle: float, velocity: Array) -> Array:
-        """Return a velocity (3,) along the axes of a body at an angle [rad]."""
+        """Rotate a velocity (3,) into the axes of a body at an angle [rad]."""
         c, s = math.cos(angle), self._sense * math.sin(angle)
         return np.array((c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2]))
 
     def from_body_axes(self, angle: float, velocity: Array) -> Array:
-        """Return a velocity (3,) along the axes of the plane; the inverse of `in_body_axes`."""
+        """Rotate a velocity (3,) into the axes of the plane; the inverse of `in_body_axes`."""
         c, s = math.cos(angle), self._sense * math.sin(angle)
         return np.array((c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1], velocity[2]))
 
     def counter_clockwise(self, pose: Array) -> Array:
-        """Return a pose (3,) with a counter-clockwise angle in the plane; it is its own inverse."""
+        """Convert a pose (3,) to or from a counter-clockwise angle; the function is its own inverse."""
         return pose * (1.0, 1.0, self._sense)

@@ -1,4 +1,4 @@
-"""The robot of a simulated world for `ctrl_rl_core.driving.drive`: it provides `Sensors` and takes commands.
+"""The robot of a simulated world for `ctrl_rl_core.driving.drive`: provides `Sensors` and takes commands.
 
 robot = SimulatedRobot(SimulatedWorld(task), period=0.2)
 episodes = drive(robot, PolicyDriver(policy), seeds=range(100))
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 
 _NO_SCAN = LidarScan(np.empty(0, np.float32), 0.0, 1.0, 0.0, 1.0)
 _STILL = 0.005
-"""Speed [m/s] and turn rate [rad/s] below which a robot stands."""
+"""Speed [m/s] and turn rate [rad/s] below which a robot counts as stationary."""
 
 
 class RobotSenses:
-    """What a world's first robot senses, with the last scan.
+    """Sensors of a world's first robot, including the last scan.
 
     Args:
         world: World of the robot.
-        goal: Goal x, y, theta (3,) [m, m, rad]; None for none.
+        goal: Goal x, y, theta (3,) [m, m, rad], or None.
     """
 
     def __init__(self, world: SimulatedWorld, goal: Array | None = None) -> None:
@@ -36,12 +36,12 @@ class RobotSenses:
         self._scan, self._scanned_at = _NO_SCAN, -math.inf
 
     def __call__(self, command: Array, look: bool = True, pose: Array | None = None) -> Sensors:
-        """Return what it senses now.
+        """Return the current sensor readings.
 
         Args:
             command: Last command (2,).
-            look: Whether to take a scan, with new noise; else the last one is shown again.
-            pose: Pose x, y, theta (3,) in the frame of the goal; that by odometry unless given.
+            look: Whether to take a new scan with new noise; otherwise the last one is reused.
+            pose: Pose x, y, theta (3,) in the goal's frame; the odometry pose by default.
         """
         world = self._world
         if look:
@@ -51,16 +51,16 @@ class RobotSenses:
 
 
 class SimulatedRobot:
-    """The first robot of a world, in Gymnasium's form; each step holds a command and takes a scan at its end.
+    """The first robot of a world with Gymnasium's interface; each step holds a command and ends with a scan.
 
     Info has `outcome`, a name of `Outcome`; `smallest_clearance` [m]; the true `state` (n,); `seconds` since the start;
-    and `stood`, the time for which the robot has stood by now [s].
+    and `stood`, the time for which the robot has been stationary [s].
 
     Args:
         world: World of the robot.
-        period: Time for which a step holds its command [s].
-        goal: Goal x, y, theta of the driver (3,) [m, m, rad]; None for none.
-        patience: Time after which an episode is cut in which the robot stands [s].
+        period: Duration of a step [s].
+        goal: Goal x, y, theta of the driver (3,) [m, m, rad], or None.
+        patience: Stationary time after which the episode is truncated [s].
     """
 
     def __init__(
@@ -72,13 +72,13 @@ class SimulatedRobot:
         self._stood = 0.0
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
-        """Begin the episode of a seed, unless the world stands at its start."""
+        """Start the episode of a seed, unless the world is already at its start."""
         begin_episode(self.world, seed)
         self._stood, self._senses = 0.0, RobotSenses(self.world, self._goal)
         return self._senses(self.world.rest), self._info()
 
     def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
-        """Hold a command (2,) for a period."""
+        """Hold a command (2,) for one period."""
         world = self.world
         world.command(0, command)
         world.step(self._steps)
@@ -108,9 +108,9 @@ def begin_episode(world: SimulatedWorld, seed: int) -> None:
 
 
 def goal_of(task: NavigationTask) -> Array | None:
-    """Return the middle of a task's goal as x, y, theta (3,) [m, m, rad], theta 0 where any will do.
+    """Return the centre of a task's goal as x, y, theta (3,) [m, m, rad]; theta is 0 if unconstrained.
 
-    A goal along a corridor has no place of its own: None.
+    Returns None for a goal along a corridor, which has no fixed position.
     """
     region = task.goal.region
     if region.disc is None and not {"x", "y"} <= region.intervals.keys():

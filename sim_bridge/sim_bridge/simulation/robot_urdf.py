@@ -1,4 +1,4 @@
-"""The URDF file of a robot: shipped, its own, or generated from its numbers."""
+"""The URDF file of a robot: shipped, its own, or generated from its dimensions."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim_bridge.engines.engine import URDF_FOLDER
 from sim_bridge.errors import SimulationError
 
 _WHEEL_MASS = 0.05
-"""Mass of a wheel as a fraction of the robot's."""
+"""Mass of a wheel as a fraction of the robot's mass."""
 _RIM = 0.002
-"""Width of the rim on the floor [m]: a wide rim would roll on one of its edges."""
+"""Width of the wheel rim on the floor [m]; a wide rim would roll on one of its edges."""
 _CLEARANCE = 0.4
 """Height of the body above the floor, as a fraction of the wheel radius."""
 _HEIGHT = 0.2
-"""Height of the body of a robot without a lidar height [m]."""
+"""Body height of a robot without a lidar height [m]."""
 _BELOW = 0.02
 """Height of the lidar's mirror above the body [m]."""
 
@@ -29,7 +29,7 @@ def urdf_of(robot: Robot) -> Path:
     """Return the URDF file of a robot; wheels turn about `wheel_left_joint` and `wheel_right_joint`.
 
     Raises:
-        SimulationError: There is no file, and no wheels to generate one from.
+        SimulationError: There is neither a file nor wheels to generate one from.
     """
     if robot.urdf:
         file = robot.urdf_file or URDF_FOLDER / robot.urdf
@@ -47,7 +47,7 @@ def urdf_of(robot: Robot) -> Path:
 
 
 def make_urdf(robot: Robot) -> str:
-    """Generate a URDF from a robot's numbers: a round or rectangular body, two wheels, and two casters."""
+    """Generate a URDF from a robot's dimensions: a round or rectangular body, two wheels, and two casters."""
     assert robot.wheels is not None
     wheels, lidar = robot.wheels, robot.lidar
     own, mass = _WHEEL_MASS * robot.mass, (1.0 - 2.0 * _WHEEL_MASS) * robot.mass

@@ -1,4 +1,4 @@
-"""A simulated world without ROS: a task, its robots, and time that advances in whole physics steps.
+"""A simulated world without ROS: a task and its robots, advanced in whole physics steps.
 
     world = SimulatedWorld(load_navigation_task("curved_corridor"), seed=1)
     world.command(0, (0.2, 0.0))
@@ -33,7 +33,7 @@ from sim_bridge.simulation.plane_frame import PlaneFrame
 Array = NDArray[np.float64]
 
 TOUCH = 5e-4
-"""Distance below which bodies touch [m]; an engine's contacts keep less distance."""
+"""Distance below which bodies touch [m]; an engine's contacts keep a smaller distance."""
 _JUDGED_PER_SECOND = 30
 
 
@@ -56,9 +56,9 @@ class SimulatedWorld:
     The same seed, options and commands give bitwise identical results on the same machine.
 
     Attributes:
-        task: Task that is simulated.
+        task: Simulated task.
         plane: Plane of the task, "xy" or "xz".
-        system: Model of the task, which names and orders the states.
+        system: Model of the task, which defines names and order of the states.
         options: Settings of the simulation.
         geometry: Walls and obstacles of this episode.
         conditions: Settings of this episode, including random ones.
@@ -82,12 +82,12 @@ class SimulatedWorld:
             task: Task to simulate.
             seed: Seed of the first episode.
             robots: Number of robots.
-            width: Free width of a corridor in every episode [m], None for the task's.
-            options: Settings of the simulation; the defaults unless given.
+            width: Free width of a corridor in every episode [m]; None for the task's.
+            options: Settings of the simulation; the default settings if omitted.
 
         Raises:
             SimulationError: There is no room for the robots, or the engine is not available.
-            TaskError: The width does not suit the task.
+            TaskError: The width is invalid for the task.
         """
         self.options = options or SimulationOptions()
         self.task = task
@@ -114,10 +114,10 @@ class SimulatedWorld:
 
         Args:
             seed: Seed of the episode.
-            start: State (n,) in which the only robot starts; drawn from the task's start set unless given.
+            start: State (n,) in which the only robot starts; drawn from the task's start set by default.
 
         Raises:
-            SimulationError, TaskError: As in the constructor.
+            SimulationError, TaskError: As for the constructor.
         """
         wanted = None if start is None else checked_start(start, self.system, self._count)
         geometry, conditions, plans, starts = draw_episode(
@@ -171,11 +171,11 @@ class SimulatedWorld:
 
     @property
     def rest(self) -> Array:
-        """Idle command (2,): zeros, or the thrusts at which a quadrotor hovers [N]."""
+        """Idle command (2,): zeros, or the hover thrusts of a quadrotor [N]."""
         return self._robots[0].body.idle
 
     def command(self, robot: int, command: ArrayLike) -> bool:
-        """Give a robot a command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False if it is not finite."""
+        """Set a robot's command (2,): v, omega [m/s, rad/s] or t1, t2 [N]; return False if it is not finite."""
         return self._robots[robot].channel.send(command, self.steps)
 
     def step(self, count: int = 1) -> None:
@@ -191,7 +191,7 @@ class SimulatedWorld:
                 self._check()
 
     def pose(self, robot: int = 0) -> Array:
-        """Return the true x, y, theta or x, z, psi (3,) [m, m, rad]."""
+        """Return the true pose x, y, theta or x, z, psi (3,) [m, m, rad]."""
         return self._robots[robot].body.pose()
 
     def quaternion(self, robot: int = 0) -> tuple[float, float, float, float]:
@@ -199,7 +199,7 @@ class SimulatedWorld:
         return self._robots[robot].body.quaternion()
 
     def velocity(self, robot: int = 0) -> Array:
-        """Return the true velocity along the body's axes in the plane and its turn rate (3,) [m/s, m/s, rad/s]."""
+        """Return the true velocity along the body's axes in the plane and the turn rate (3,) [m/s, m/s, rad/s]."""
         body = self._robots[robot].body
         return self._frame.in_body_axes(body.pose()[2], body.velocity())
 
@@ -216,7 +216,7 @@ class SimulatedWorld:
         return self._frame.named(body.pose(), body.velocity()) if known is None else known
 
     def measured_state(self, robot: int = 0) -> Array:
-        """Return the state (n,) by odometry."""
+        """Return the state (n,) from odometry."""
         reading, known = self.odometry(robot), self._robots[robot].body.state()
         if known is not None:
             return self._frame.placed(known, reading.pose)
@@ -249,10 +249,10 @@ class SimulatedWorld:
     def sensors(
         self, robot: int = 0, goal: Array | None = None, command: Array | None = None, scan: LidarScan | None = None
     ) -> Sensors:
-        """Return what a robot senses now, with its pose by odometry.
+        """Return a robot's current sensor readings, with its odometry pose.
 
         Args:
-            robot: Number of the robot.
+            robot: Index of the robot.
             goal: Goal x, y, theta (3,) [m, m, rad], or None.
             command: Last command (2,); zeros by default.
             scan: Current scan; a new one by default.
@@ -263,7 +263,7 @@ class SimulatedWorld:
         return Sensors(scan.ranges, scan.geometry, odometry, planar(odometry[:7].tolist()), goal, last, self.elapsed)
 
     def clearance(self, robot: int = 0) -> float:
-        """Return the distance of the body to the nearest wall, obstacle, mover or robot [m]; at most 0 on contact."""
+        """Return the distance from the body to the nearest wall, obstacle, mover or robot [m]; at most 0 on contact."""
         entry = self._robots[robot]
         if entry.measured_at != self.steps:
             known = entry.episode.clearance
@@ -294,7 +294,7 @@ class SimulatedWorld:
         return [(float(pose[0]), float(pose[1])) for pose in poses]
 
     def _check(self) -> None:
-        """Check all robots and schedule the next check: at 30 Hz, or sooner if one could touch something."""
+        """Check all robots and schedule the next check: at 30 Hz, or sooner if a contact is possible."""
         for robot in range(self._count):
             self._bring_up_to_date(robot)
         horizon = self._judge_every / self.options.rate
