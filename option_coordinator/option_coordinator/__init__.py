@@ -1,4 +1,4 @@
-"""Coordination of robots by options: joint policies, the coordinator and its clients, environments and team files."""
+"""Coordination of robots by options: joint policies, coordinator and clients, environments, and team files."""
 
 import lazy_loader as lazy
 

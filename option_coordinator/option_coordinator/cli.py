@@ -1,4 +1,4 @@
-"""The command `replay`: an episode of a task with options, as text, as a timeline and as an animation."""
+"""The `replay` command: shows an episode of a task with options as text, timeline and animation."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class ReplayOptions:
     """Task tool_delivery or water_filling, team delivery_team, or a task or team file."""
 
     policy: str = "scripted"
-    """Policy 'scripted' or 'random', or a file that `train` wrote."""
+    """Policy 'scripted' or 'random', or a file written by `train`."""
 
     choose: Literal["draws", "mode"] | None = None
-    """Use of a learned policy: draws, or its most likely options; by default the policy's own."""
+    """Use of a learned policy: sampled or most likely options; by default as in training."""
 
     synchronisation: Literal["async", "wait", "cut"] | None = None
     """Which robots choose together. async: each when it is ready; wait: all, once the last is ready; cut: all, once the
@@ -42,10 +42,10 @@ class ReplayOptions:
     """Seed of the episode."""
 
     timeline: Path | None = None
-    """PNG file to draw to, showing when each robot runs which option."""
+    """PNG file for a timeline of the options run by each robot."""
 
     animation: Path | None = None
-    """GIF file to draw the moving robots to; takes some seconds."""
+    """GIF file for an animation of the robots; takes some seconds."""
 
 
 def replay(arguments: Sequence[str] | None = None) -> int:
@@ -82,7 +82,7 @@ def _draw(options: ReplayOptions, environment: OptionEnvironment) -> None:
 
 
 def prepare_replay(options: ReplayOptions) -> tuple[OptionEnvironment, DecisionPolicy]:
-    """Return the environment and the policy of a replay."""
+    """Create the environment and the policy of a replay."""
     film = options.animation is not None
     if options.policy in ("scripted", "random"):
         environment = make_environment(options.task, options.synchronisation or "async", film=film)

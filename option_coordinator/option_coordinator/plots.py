@@ -35,7 +35,7 @@ def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> Non
     """Draw the options of an environment's last episode as in Fig. 5.1; unfinished options are hatched.
 
     Raises:
-        OptionError: There was no episode.
+        OptionError: No episode was played.
     """
     with picture(path, title, height=1.4 + 0.45 * len(environment.agents)) as (figure, ((ax,),)):
         figure.draw_without_rendering()  # labels are as large as their bars
@@ -43,10 +43,10 @@ def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> Non
 
 
 def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
-    """Draw a filmed environment's last episode as an animated GIF: the room above, the timeline below.
+    """Draw a filmed environment's last episode as an animated GIF: room above, timeline below.
 
     Raises:
-        OptionError: There was no episode, or it was not filmed.
+        OptionError: No episode was played, or it was not filmed.
     """
     if not environment.scenes:
         raise OptionError("the episode was not filmed: make the environment with film=True")
@@ -68,7 +68,7 @@ def draw_replay(environment: OptionEnvironment, title: str, path: Path) -> None:
 
 
 def _draw_room(ax: Axes, environment: OptionEnvironment) -> dict[str, Any]:
-    """Draw the fixed parts and return the robots' markers by name."""
+    """Draw the static parts and return the robots' markers by name."""
     simulation = environment.simulation
     for name, place in simulation.landmarks.items():
         draw_landmark(ax, name, place)
@@ -87,7 +87,7 @@ def draw_spans(
 ) -> None:
     """Draw the options that agents ran, one row per agent; unfinished options are hatched.
 
-    Repeated options are labelled once; options without room for a label get a number, which the axis explains.
+    Repeated options are labelled once; options without room for a label get a number, explained at the axis.
 
     Args:
         ax: Axes to draw on.
@@ -133,7 +133,7 @@ def _draw_episode(ax: Axes, environment: OptionEnvironment) -> None:
 
 
 def _stretches(spans: Sequence[Span], gap: float) -> list[Span]:
-    """Join spans in which an agent repeats the same option."""
+    """Merge consecutive spans in which an agent repeats the same option."""
     out: list[Span] = []
     for span in sorted(spans, key=lambda span: (span.agent, span.begin)):
         last = out[-1] if out else None

@@ -1,10 +1,10 @@
-"""Option-level joint trajectories from bags of `joint_option_step` messages, to learn from.
+"""Option-level joint trajectories for learning, from bags of `joint_option_step` messages.
 
     for recording in recordings(Path("runs/mine/bag")):
         recording.digest, recording.trajectory
 
-No ROS is needed. A trajectory ends with its episode, with its coordinator's epoch, at a missing decision, and where the
-policy changes; its last step still has its reward and next decision.
+No ROS is needed. A trajectory ends at the end of its episode or of the coordinator's epoch, at a missing decision, and
+at a policy change; its last step still has its reward and next decision.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
 
 
 class TeamLayout(NamedTuple):
-    """Names, option counts and observation sizes of a team whose decisions were recorded.
+    """Names, option counts and observation sizes of a recorded team.
 
     Attributes:
         names: Names of the robots, in the policy's order.
@@ -42,17 +42,17 @@ class TeamLayout(NamedTuple):
 
     @classmethod
     def of(cls, agents: Sequence[Agent]) -> TeamLayout:
-        """Return the team of these robots."""
+        """Create the layout of these robots."""
         rows = [(agent.name, len(agent.options), agent.observation_size) for agent in agents]
         return cls(*zip(*rows, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Consecutive decisions by one policy.
+    """Consecutive decisions of one policy.
 
     Attributes:
-        team: Team that the decisions were made for.
+        team: Team of the decisions.
         digest: SHA-256 (hex) of the policy's file; empty for a scripted policy, or if the policy failed.
         trajectory: Consecutive option steps of one episode.
     """
@@ -66,8 +66,8 @@ def recordings(bag: Path) -> list[Recording]:
     """Read a bag's recordings, in order for each coordinator's epoch.
 
     Raises:
-        BagError: the bag cannot be read.
-        OptionError: It holds no decisions, or an invalid one.
+        BagError: The bag cannot be read.
+        OptionError: The bag has no decisions, or an invalid one.
     """
     topics = [name for name, topic in bag_info(bag).topics.items() if topic.type == TYPE]
     if not topics:
@@ -86,7 +86,7 @@ def recordings(bag: Path) -> list[Recording]:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A message as a decision of `OptionTrajectory.of`."""
+    """A message in the form that `OptionTrajectory.of` expects."""
 
     number: int
     team: TeamLayout
@@ -106,7 +106,7 @@ class _Step:
 
 
 def _parts(steps: Sequence[_Step]) -> Iterator[Recording]:
-    """Yield the recordings of one coordinator's life."""
+    """Yield the recordings of one coordinator epoch."""
     part: list[tuple[_Step, _Step]] = []
     for before, after in pairwise(steps):
         if before.over or after.number != before.number + 1 or after.team != before.team:
@@ -126,10 +126,10 @@ def _recording(part: Sequence[tuple[_Step, _Step]]) -> Recording:
 
 
 def _step(message: Any, where: str) -> _Step:
-    """Parse and check a message.
+    """Parse and validate a message.
 
     Raises:
-        OptionError: It is invalid; the message begins with `where`.
+        OptionError: The message is invalid; the error starts with `where`.
     """
     names, counts = tuple(message.agents), tuple(int(count) for count in message.option_counts)
     sizes = tuple(int(size) for size in message.observation_sizes)

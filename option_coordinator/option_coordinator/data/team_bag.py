@@ -22,15 +22,15 @@ _BEGIN_NS, _SECOND_NS = 10**12, 10**9
 
 
 class TeamBag:
-    """Writes a bag decision by decision; a context manager.
+    """Writes a bag one decision at a time; a context manager.
 
     Args:
-        folder: The bag, which must not exist.
+        folder: Folder of the bag, which must not exist.
         discount: Discount factor gamma of a low-level step.
         time_step: Duration of a low-level step [s].
 
     Raises:
-        BagError: The bag exists, or the disk refuses.
+        BagError: The bag exists, or writing fails.
     """
 
     def __init__(self, folder: Path, discount: float, time_step: float = 1.0) -> None:
@@ -41,21 +41,21 @@ class TeamBag:
         self._time, self._number = _BEGIN_NS, 0
 
     def put(self, decision: Decision, options: NDArray[np.int64], log_prob: float = 0.0, digest: str = "") -> None:
-        """Append a decision; at the end of an episode its options are those that still run.
+        """Append a decision; at the end of an episode, `options` are those still running.
 
         Args:
-            decision: Decision of a coordinator, or of an environment.
+            decision: Decision of a coordinator or an environment.
             options: Joint option (N,).
-            log_prob: Log-probability of the options that were chosen; 0 for a script.
-            digest: SHA-256 of the policy's file, hex; empty for a script.
+            log_prob: Log-probability of the chosen options; 0 for a scripted policy.
+            digest: SHA-256 of the policy's file, hex; empty for a scripted policy.
 
         Raises:
-            BagError: The disk refuses.
+            BagError: Writing fails.
         """
         self.write(self.fields(decision, options, log_prob, digest))
 
     def fields(self, decision: Decision, options: NDArray[np.int64], log_prob: float, digest: str) -> dict[str, Any]:
-        """Return the fields of a decision's message, except the header."""
+        """Return the fields of a decision message, except the header."""
         counts = [len(agent.options) for agent in decision.agents]
         return {
             "coordinator_epoch": 1,
@@ -79,10 +79,10 @@ class TeamBag:
         }
 
     def write(self, fields: dict[str, Any]) -> None:
-        """Append a message of these fields.
+        """Append a message with these fields.
 
         Raises:
-            BagError: The disk refuses.
+            BagError: Writing fails.
         """
         types = self._store.types
         self._time += max(round(fields["duration"] * self._time_step * _SECOND_NS), 1)  # no two at one time
@@ -92,7 +92,7 @@ class TeamBag:
         self._number += 1
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing."""
+        """Finish the bag; further calls do nothing."""
         self._writer.close()
 
     def __enter__(self) -> Self:

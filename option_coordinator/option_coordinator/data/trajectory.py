@@ -1,7 +1,7 @@
-"""Option-level joint trajectories (thesis Definition 1), recorded at decisions and used for learning.
+"""Option-level joint trajectories (thesis Definition 1): recorded decisions for learning.
 
-A step kappa holds s_kappa, o_kappa, the agents that chose, r_kappa and gamma^tau, whether it comes from a simulation or
-from a bag of `joint_option_step` messages.
+A step kappa has s_kappa, o_kappa, the agents that chose, r_kappa and gamma^tau, from a simulation or from a bag of
+`joint_option_step` messages.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OptionTrajectory:
-    """T consecutive option steps of N agents with at most K options, of one or several episodes.
+    """T consecutive option steps of N agents with at most K options, from one or several episodes.
 
     Attributes:
         observation: Joint observation s_kappa (T, D).
-        options: Joint option o_kappa, including options that run on (T, N); -1 for absent agents.
+        options: Joint option o_kappa, including options that continue (T, N); -1 for absent agents.
         choosing: Whether each agent chose, U_kappa (T, N).
         legal: Whether each option was legal for its agent (T, N, K).
         log_prob: Log-probability log pi-hat(o_U | o_not-U, s) at the time of the choice (T,).
@@ -33,10 +33,10 @@ class OptionTrajectory:
         duration: Number tau of low-level steps until the next decision (T,).
         discount: Discount gamma^tau of the next decision (T,).
         next_observation: Joint observation s_kappa+1 at the next decision (T, D).
-        next_running: Option that runs on at the next decision, -1 for agents that choose or are absent (T, N).
+        next_running: Option that continues at the next decision; -1 for agents that choose or are absent (T, N).
         next_present: Whether each agent is present at the next decision (T, N).
         next_legal: Whether each option is legal at the next decision (T, N, K).
-        terminated: Whether the task ended, so that the next decision has value 0 (T,).
+        terminated: Whether the task ended, which gives the next decision value 0 (T,).
         last: Whether this is the last step of its episode or trajectory (T,).
     """
 
@@ -65,7 +65,7 @@ class OptionTrajectory:
 
     @property
     def running(self) -> NDArray[np.int64]:
-        """Option that ran on at each decision, -1 for agents that chose or were absent (T, N)."""
+        """Option that continued at each decision; -1 for agents that chose or were absent (T, N)."""
         return np.where(self.choosing, -1, self.options)
 
     @property
@@ -75,14 +75,14 @@ class OptionTrajectory:
 
     @classmethod
     def of(cls, steps: Sequence[tuple[Any, Any, float, Any]]) -> Self:
-        """Make a trajectory of option steps; its last step counts as an end even if the episode goes on.
+        """Create a trajectory from option steps; the last step is marked as an end even if the episode continues.
 
         Args:
-            steps: For each, the decision, the joint option (N,), its log-probability and the next decision. Decisions
-                are `Decision` objects, or others with such attributes.
+            steps: For each step, the decision, the joint option (N,), its log-probability and the next decision.
+                Decisions are `Decision` objects, or have the same attributes.
 
         Raises:
-            OptionError: there is none.
+            OptionError: There are no steps.
         """
         if not steps:
             raise OptionError("no option step was recorded")
@@ -97,10 +97,10 @@ class OptionTrajectory:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate trajectories, each with its own end.
+        """Concatenate trajectories; each keeps its end.
 
         Raises:
-            OptionError: there is none.
+            OptionError: There are no trajectories.
         """
         if not parts:
             raise OptionError("there is no trajectory to join")
@@ -110,7 +110,7 @@ class OptionTrajectory:
 
 
 def _rows(decisions: Sequence[Any], name: str) -> NDArray[Any]:
-    """Return an attribute of each decision (T, ...)."""
+    """Stack an attribute of the decisions (T, ...)."""
     return np.stack([np.asarray(getattr(decision, name)) for decision in decisions])
 
 
@@ -120,7 +120,7 @@ def advantages(trajectory: OptionTrajectory, values: Array, next_values: Array, 
     Args:
         trajectory: Trajectory of T option steps.
         values: Values V(s_kappa) (T,).
-        next_values: Values V(s_kappa+1) (T,); ignored where the task ended.
+        next_values: Values V(s_kappa+1) (T,); ignored at the end of the task.
         gae_lambda: Coefficient lambda of the generalised advantage estimate.
     """
     onward = trajectory.discount * ~trajectory.terminated

@@ -5,11 +5,11 @@
     while not decision.over:
         decision = environment.step({name: choose(name) for name in decision.ready})
 
-The termination strategy says which agents are ready (thesis 2.4.3):
+The termination strategy determines which agents are ready (thesis 2.4.3):
 
-    "async"  eta_continue: agents whose option has ended; the others go on (the thesis's)
-    "wait"   eta_all: all, once all have ended; early ones idle ("sync-wait")
-    "cut"    eta_any: all, once one has ended; the others are interrupted ("sync-cut")
+    "async"  eta_continue: agents whose option has ended; the others continue (used in the thesis)
+    "wait"   eta_all: all agents, once all options have ended; early ones idle ("sync-wait")
+    "cut"    eta_any: all agents, once one option has ended; the others are interrupted ("sync-cut")
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def draw_dropout(chance: float, agents: int, step_limit: int, generator: np.rand
     Args:
         chance: Probability of a drop-out, 0 to 1.
         agents: Number of robots, all equally likely to drop out.
-        step_limit: Step limit of the episode; a drop-out begins in its first quarter and lasts a quarter at most.
+        step_limit: Step limit of the episode; a drop-out starts in its first quarter and lasts at most a quarter.
         generator: Random generator; unused if the probability is 0.
     """
     if chance == 0.0 or generator.random() >= chance:
@@ -71,9 +71,9 @@ class Span(NamedTuple):
     Attributes:
         agent: Name of the robot.
         option: Name of the option.
-        begin: Low-level step at which it began; a time [s] in a recording of robots.
-        end: Low-level step at which it ended; a time [s] in a recording of robots.
-        finished: Whether it ended by itself, rather than by interruption or with the episode.
+        begin: Low-level step of the start; for recordings of robots, the time [s].
+        end: Low-level step of the end; for recordings of robots, the time [s].
+        finished: Whether the option terminated, rather than being interrupted or ending with the episode.
     """
 
     agent: str
@@ -85,22 +85,22 @@ class Span(NamedTuple):
 
 @dataclass
 class Trace:
-    """The options of an episode, in the order in which they ended."""
+    """Option runs of an episode, in order of their ends."""
 
     spans: list[Span] = field(default_factory=list)
     _open: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def begin(self, agent: str, option: str, step: int) -> None:
-        """Record that an agent begins an option."""
+        """Record that an agent starts an option."""
         self._open[agent] = (option, step)
 
     def end(self, agent: str, step: int, finished: bool) -> None:
-        """Record that its option ended or was interrupted."""
+        """Record that an agent's option ended or was interrupted."""
         option, begin = self._open.pop(agent)
         self.spans.append(Span(agent, option, begin, step, finished))
 
     def close(self, step: int) -> None:
-        """Record that the episode is over."""
+        """Record the end of the episode."""
         for agent in list(self._open):
             self.end(agent, step, finished=False)
 
@@ -109,19 +109,19 @@ Synchronisation = Literal["async", "wait", "cut"]
 
 
 class OptionEnvironment:
-    """An environment whose agents choose options when the termination strategy says that they are ready.
+    """An environment in which agents choose options whenever the termination strategy makes them ready.
 
     Args:
         simulation: Low-level simulation of the task.
         discount: Discount factor gamma of a low-level step.
         synchronisation: Termination strategy: "async", "wait" or "cut".
-        drop: Probability that a robot drops out for a while in an episode, see `robot_dropout`.
-        film: Whether to keep a scene of every low-level step, for animations.
+        drop: Probability of a robot's temporary drop-out in an episode, see `draw_dropout`.
+        film: Whether to keep a scene for every low-level step, for animations.
 
     Attributes:
-        trace: Options of this episode by agent and time.
-        scenes: Scenes of this episode, the first before any step; empty unless `film` is set.
-        steps: Number of low-level steps of this episode so far.
+        trace: Option runs of this episode.
+        scenes: Scenes of this episode, the first one before any step; empty unless `film` is set.
+        steps: Number of low-level steps in this episode so far.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class OptionEnvironment:
         self._mask = option_mask([len(agent.options) for agent in self.agents])
 
     def reset(self, seed: int | np.random.Generator | None = None) -> Decision:
-        """Begin an episode, with all agents ready."""
+        """Start an episode, with all agents ready."""
         generator = np.random.default_rng(seed)
         self.simulation.reset(generator)
         self._dropout = draw_dropout(self.drop, len(self.agents), self.simulation.step_limit, generator)
@@ -168,10 +168,10 @@ class OptionEnvironment:
         """Start the options of the ready agents, and run until an agent must choose again.
 
         Args:
-            choices: Option of each agent that is ready, and no others.
+            choices: Option of each ready agent, and of no others.
 
         Raises:
-            OptionError: The episode is over, these are not the ready agents, or an option is not legal.
+            OptionError: The episode is over, `choices` does not match the ready agents, or an option is illegal.
         """
         for agent, option in self._checked(choices):
             self.simulation.begin(agent, option)
@@ -191,7 +191,7 @@ class OptionEnvironment:
                 return self._pause(rewards, terminated, truncated)
 
     def _is_time(self) -> bool:
-        """Whether an agent must choose."""
+        """Return whether an agent must choose."""
         runs_none = self._running == NONE
         ready = bool((runs_none & self._present).any())
         return ready and (self.synchronisation != "wait" or bool(runs_none.all()))

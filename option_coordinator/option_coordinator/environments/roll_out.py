@@ -1,4 +1,4 @@
-"""Roll-outs of a policy in an environment: trajectories to learn from, episodes to evaluate."""
+"""Roll-outs of a policy in an environment: trajectories for learning, episodes for evaluation."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class OptionEpisode:
 
     Attributes:
         returned: Undiscounted sum of the low-level rewards.
-        steps: Number of low-level steps, the makespan T.
+        steps: Number of low-level steps (makespan T).
         decisions: Number of option steps.
         option_reward: Sum of the option steps' discounted rewards r_kappa.
         last_reward: Sum of the option steps' last low-level rewards.
-        terminated: Whether the task ended, rather than being cut off.
+        terminated: Whether the task ended, rather than being truncated.
         figures: Metrics of the task, by name.
     """
 
@@ -47,11 +47,11 @@ class OptionEpisode:
 
 
 class RollOut:
-    """Steps through an environment, episode after episode, in parts.
+    """Rolls out a policy over consecutive episodes, in parts.
 
     Args:
         environment: Environment of the roll-out.
-        generator: Random generator of worlds and draws.
+        generator: Random generator of worlds and policy samples.
 
     Attributes:
         samples: Number of low-level steps so far.
@@ -93,7 +93,7 @@ def play_episodes(
     seeds: range,
     at_end: Callable[[Decision], object] = lambda _: None,
 ) -> Iterator[OptionEpisode]:
-    """Play one episode per seed with any policy; `at_end` receives the final decision of each episode."""
+    """Play one episode per seed with any policy; `at_end` is called with the final decision of each episode."""
     for seed in seeds:
         decision, episode = environment.reset(seed), OptionEpisode()
         while not decision.over:
@@ -108,8 +108,8 @@ class JointDecisionPolicy:
     """Adapts a joint policy to `DecisionPolicy`.
 
     Args:
-        policy: Joint policy that chooses.
-        generator: Random generator of the draws; the most likely options without one.
+        policy: Joint policy.
+        generator: Random generator for sampling; None for the most likely options.
     """
 
     def __init__(self, policy: JointPolicy, generator: np.random.Generator | None = None) -> None:
@@ -117,5 +117,5 @@ class JointDecisionPolicy:
         self._generator = generator
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         return decision.named(self._policy.choose(decision, self._generator)[0])

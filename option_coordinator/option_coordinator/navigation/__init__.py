@@ -1,1 +1,1 @@
-"""Delivery options on a small robot: their work, and a reactive planner."""
+"""Delivery options for small robots: their work, and a reactive planner."""

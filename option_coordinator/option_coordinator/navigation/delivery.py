@@ -1,4 +1,4 @@
-"""One robot's work in a delivery team: its options, their rewards, and the reactive planner that drives it."""
+"""One robot's work in a delivery team: its options, their rewards, and the reactive planner."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ STAND = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class ReactivePlanner:
-    """Plans speed and turn rate towards a goal.
+    """Computes speed and turn rate towards a goal.
 
     Attributes:
         speed: Maximum forward speed [m/s].
         turn: Maximum turn rate [rad/s].
-        half_width: Half the width of the strip that must be free of obstacles [m].
-        look_ahead: Distance for which the way must be free [m].
-        stop: Distance from the robot's centre to an obstacle in front at which it stops [m].
+        half_width: Half-width of the strip that must be free of obstacles [m].
+        look_ahead: Length of the strip that must be free [m].
+        stop: Distance from the robot's centre to an obstacle ahead at which the robot stops [m].
         arrived: Distance to the goal at which the robot has arrived [m].
     """
 
@@ -46,8 +46,8 @@ class ReactivePlanner:
     def command(self, pose: Array, points: Array, place: tuple[float, float]) -> tuple[float, float]:
         """Return speed [m/s] and turn rate [rad/s].
 
-        It takes the free direction nearest to the goal's, the right one first, so that two robots that meet pass each
-        other.
+        The planner takes the free direction nearest to the goal's; ties go to the right, so that two robots that meet
+        pass each other.
 
         Args:
             pose: Pose x, y [m], theta [rad] (3,).
@@ -69,7 +69,7 @@ class ReactivePlanner:
         return speed, turn
 
     def _free_direction(self, points: Array, bearing: float, reach: float) -> float | None:
-        """Return the free direction nearest to a bearing; if none is free, the one that is free for half as far."""
+        """Return the free direction nearest to a bearing; if there is none, accept one free for half the distance."""
         for far in (reach, 0.5 * reach):
             for offset in np.deg2rad(np.arange(0, 111, 10)):
                 for direction in (bearing - offset, bearing + offset):
@@ -78,7 +78,7 @@ class ReactivePlanner:
         return None
 
     def _nearest(self, points: Array, direction: float) -> float:
-        """Return for how far the strip in a direction is free [m]."""
+        """Return the free distance along the strip in a direction [m]."""
         c, s = math.cos(direction), math.sin(direction)
         along, aside = c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]
         inside = along[(np.abs(aside) < self.half_width) & (along > 0.0)]
@@ -86,7 +86,7 @@ class ReactivePlanner:
 
 
 def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Array:
-    """Return a scan's echoes as points (n, 2) [m] in the frame of the pose, where they stay while the robot turns.
+    """Return a scan's echoes as points (n, 2) [m] in the frame of the pose, which does not rotate with the robot.
 
     Args:
         pose: Pose x, y [m], theta [rad] (3,) of the robot at the time of the scan.
@@ -100,13 +100,13 @@ def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, fo
 
 
 def _seen_from(pose: Array, points: Array) -> Array:
-    """Return points in the robot's frame, x ahead."""
+    """Transform points to the robot's frame, x ahead."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.asarray((points - pose[:2]) @ np.array(((c, -s), (s, c))))
 
 
 class Delivery:
-    """One robot's work. All times are from the same clock [s].
+    """One robot's work; all times are from the same clock [s].
 
     Args:
         team: Team file of the robot's team.
@@ -114,8 +114,8 @@ class Delivery:
 
     Attributes:
         carries: Whether the robot carries a parcel.
-        delivered: Number of parcels that it has delivered.
-        option: Index of the option that runs, None for none.
+        delivered: Number of parcels delivered.
+        option: Index of the running option; None for none.
     """
 
     def __init__(self, team: TeamFile, name: str) -> None:
@@ -137,19 +137,19 @@ class Delivery:
         return AgentObservation(observation, np.array([option.work in wanted for option in self._options]))
 
     def begin(self, option: int, now: float) -> None:
-        """Begin an option."""
+        """Start an option."""
         self.option, self._began, self._arrived = option, now, None
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Position that the option leads to [m], or None."""
+        """Goal position of the option [m], or None."""
         if self.option is None:
             return None
         option = self._options[self.option]
         return self._home if option.work is Work.REST else option.station
 
     def at_place(self, now: float) -> OptionResult | None:
-        """Record that the robot has reached its option's position; return the result once the option is done."""
+        """Record that the robot has reached the option's position; return the result once the option is done."""
         if self.option is None:
             return None
         self._arrived = now if self._arrived is None else self._arrived
@@ -165,7 +165,7 @@ class Delivery:
         return self.leave(now, reward)
 
     def leave(self, now: float, reward: float = 0.0) -> OptionResult:
-        """End the option and return its result, with a reward at its last step."""
+        """End the option and return its result; the reward belongs to the last step."""
         steps = max(1, round((now - self._began) / self._team.time_step))
         gamma = self._team.discount
         on_the_way = self._team.rewards.step * float(np.sum(gamma ** np.arange(steps)))
@@ -173,5 +173,5 @@ class Delivery:
         return OptionResult(on_the_way + gamma ** (steps - 1) * reward, steps)
 
     def over(self, option: int) -> bool:
-        """Return whether the work is over after an option."""
+        """Return whether the work is finished after an option."""
         return self._options[option].work is Work.REST

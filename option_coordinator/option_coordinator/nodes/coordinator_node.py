@@ -1,4 +1,4 @@
-"""The coordinator node: requests and heartbeats in, grants and joint steps out."""
+"""The coordinator node: receives requests and heartbeats, publishes grants and joint steps."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _FINE = (
     "words of other teams",
     "messages of other teams",
 )
-"""Counters of events that are not faults."""
+"""Counters of events that are not errors."""
 
 PARAMETERS = (
     Parameter(
@@ -99,11 +99,11 @@ PARAMETERS = (
 
 
 class OptionCoordinator(SuiteNode):
-    """Grants options to robots when they are ready and ask; no robot waits for another one.
+    """Grants options to robots on request, as soon as they are ready; no robot waits for another one.
 
     Subscribes to option_requests and agent_status; publishes option_grants, and a joint_option_step for each decision,
-    which a bag can be trained on. The policy may be changed while it runs: the next decision is by the new one. Several
-    coordinators hear of each other by coordinator_status: one decides, the others stand by.
+    for training from bags. The policy can be replaced at run time, starting with the next decision. Several
+    coordinators monitor each other through coordinator_status: one decides, the others stand by.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
@@ -171,12 +171,12 @@ class OptionCoordinator(SuiteNode):
         return warn(", ".join(faults), **figures) if faults else ok("deciding", **figures)
 
     def stop(self) -> None:
-        """Close the recorded episode; its last step is delivered before the publisher goes."""
+        """Close the recorded episode; its last step is delivered before the publisher closes."""
         self._work(self._coordinator.close)
         self._steps.wait_for_all_acked(_LAST_WORD)
 
     def _prepare(self) -> tuple[CoordinatorTimeouts, float]:
-        """Set the team's robots, and return timeouts and discount."""
+        """Set up the team's robots, and return timeouts and discount."""
         settings = self.settings
         if settings["lost_after"] < settings["lease"]:
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
@@ -199,10 +199,11 @@ class OptionCoordinator(SuiteNode):
         return timeouts, discount
 
     def _chooser(self) -> tuple[PolicyFn, str]:
-        """Return a policy and its digest.
+        """Load a policy and return it with its digest.
 
         Raises:
-            OptionError: There is no such policy, its digest is not the promised one, or it belongs to another team.
+            OptionError: The policy does not exist, its digest differs from the expected one, or it belongs to another
+                team.
         """
         name, generator = self.settings["policy"], np.random.default_rng(self.settings["seed"])
         if name == "uniform":
@@ -226,7 +227,7 @@ class OptionCoordinator(SuiteNode):
         return timed
 
     def _on_message(self, read: Callable[[Any], Any], take: _Take, message: Any) -> None:
-        """Handle a message; count those refused, and log them at intervals."""
+        """Handle a message; count rejected messages, and log them at a limited rate."""
         try:
             content = read(message)
         except MessageError as error:
@@ -242,7 +243,7 @@ class OptionCoordinator(SuiteNode):
         return answers
 
     def _begin_batch(self) -> None:
-        """Schedule one decision for all requests that arrive until then."""
+        """Schedule one decision for all requests that arrive within the batch window."""
         self._batch_ends = True
         if self.settings["batch_window"] > 0.0:
             self._window.reset()
@@ -255,13 +256,13 @@ class OptionCoordinator(SuiteNode):
         self._work(self._coordinator.end_batch)
 
     def _work(self, work: Callable[[ClockReading], Answers]) -> None:
-        """Let the coordinator work, once it listens, and send its answers."""
+        """Run the coordinator, once it is listening, and send its answers."""
         if self._listens():
             now = self._now()
             self._send(work(now), now)
 
     def _send(self, answers: Answers, decided: ClockReading) -> None:
-        """Publish answers; grants that are late since their decision are sent again later, if they still hold."""
+        """Publish answers; grants delayed since their decision are sent again later if still valid."""
         for grant in answers.grants:
             if steady_time() - decided.steady > self._held_up:
                 self._coordinator.counts["grants held up"] += 1
@@ -273,14 +274,14 @@ class OptionCoordinator(SuiteNode):
             self._heartbeats.publish(heartbeat_message(answers.heartbeat, decided.stamp))
 
     def _listens(self) -> bool:
-        """Return whether the ROS clock has started; from then on the coordinator listens for a lease."""
+        """Return whether the ROS clock has started; only then does the coordinator start to listen for a lease."""
         if not self._began and (now := self._now()).stamp > 0.0:
             self._coordinator.listen(now)
             self._began = True
         return self._began
 
     def _team_name(self) -> str:
-        """Return the given team name, the team file's, or one that all policies of the robots share."""
+        """Return the given team name, that of the team file, or the one shared by all policies of the robots."""
         given: str = self.settings["team_name"]
         if len(given) > LONGEST_NAME:
             raise ParameterError(f"parameter 'team_name' has {len(given)} characters: must be at most {LONGEST_NAME}")

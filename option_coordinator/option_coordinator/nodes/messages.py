@@ -1,4 +1,4 @@
-"""Conversion between the types of `protocol_types` and the messages of ctrl_rl_msgs, by the names of the fields."""
+"""Conversion between `protocol_types` and ctrl_rl_msgs messages, by field name."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from option_coordinator.protocol.protocol_types import (
 )
 
 EXCHANGE = QoSProfile(depth=1000)
-"""Quality of service of all topics, on both sides: with a depth of 10 most of 100 simultaneous messages are lost."""
+"""QoS of all topics, on both sides; with a depth of 10, most of 100 simultaneous messages would be lost."""
 _LONGEST_STEP = 2**32 - 1
 _REQUEST_SIZE = AtMost(LARGEST_REQUEST)
 _Content = TypeVar("_Content")
@@ -38,15 +38,15 @@ _Convert = Callable[[Any], Any]
 
 
 class Conversion(Generic[_Content]):
-    """Converts between one type and its message by the names of the fields, and checks what is received.
+    """Converts between a type and its message by field name, and validates received messages.
 
-    A field `stamp` [s] stands for the header's stamp.
+    A field `stamp` [s] corresponds to the header's stamp.
 
     Args:
         content: Dataclass of the content.
         message: Class of the ROS message.
-        write: Conversions of field values for the message, by name; fields without one are passed on as they are.
-        read: Conversions of the message's values, by name.
+        write: Conversions of field values to message values, by name; other fields are passed on unchanged.
+        read: Conversions of message values to field values, by name.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Conversion(Generic[_Content]):
         self._read = [(name, checks.get(name), (read or {}).get(name)) for name in own]
 
     def to_message(self, content: _Content, now: float = 0.0) -> Any:
-        """Return the message, stamped with the content's own stamp, or with `now` [s] where it has none."""
+        """Return the message, stamped with the content's own stamp, or with `now` [s] if it has none."""
         values = {}
         for name, convert in self._write:
             value = getattr(content, name)
@@ -76,7 +76,7 @@ class Conversion(Generic[_Content]):
         """Return the content of a message.
 
         Raises:
-            MessageError: A value lies outside the range that the message file gives.
+            MessageError: A value lies outside the range given in the message file.
         """
         values = {}
         for name, check, convert in self._read:
@@ -112,10 +112,10 @@ heartbeat_of: Callable[[CoordinatorStatus], CoordinatorHeartbeat] = _HEARTBEAT.f
 
 
 def request_in(content: bytes) -> Request:
-    """Return the request in a serialised message; one that is too large is not deserialised.
+    """Deserialise a request; one that is too large is rejected first.
 
     Raises:
-        MessageError: It is no OptionRequest, or a value lies outside its range.
+        MessageError: The message is not an OptionRequest, or a value lies outside its range.
     """
     _REQUEST_SIZE(content, "request")
     try:
@@ -141,7 +141,7 @@ class StepMessages:
         self._own = option_mask(self._counts)
 
     def __call__(self, step: JointStep) -> JointOptionStep:
-        """Return the message of one joint step."""
+        """Convert one joint step to a message."""
         return JointOptionStep(
             header=_header(step.stamp),
             coordinator_epoch=step.coordinator_epoch,

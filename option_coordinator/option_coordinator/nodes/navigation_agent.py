@@ -1,4 +1,4 @@
-"""A TurtleBot that carries out the options of a delivery team: odometry and scan in, velocities out."""
+"""Node of a TurtleBot that executes the options of a delivery team, from odometry and scans to velocities."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _STAND = np.array(STAND)
 
 
 class NavigationAgent(RobotNode):
-    """Drives a robot between stations, one option after the other, as a coordinator grants them.
+    """Drives a robot between stations, executing one granted option after the other.
 
-    Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; asks for options in the team's. Drives
-    around what stands in its way; stands still without recent scan and odometry, and without an option.
+    Subscribes to scan and odom, publishes cmd_vel, all in the robot's namespace; requests options in the team's
+    namespace. Drives around obstacles; stops without recent scan and odometry, and without an option.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -75,17 +75,17 @@ class NavigationAgent(RobotNode):
         return self._delivery.see(np.zeros(3) if self._pose is None else self._pose)
 
     def begin(self, option: int) -> None:
-        """Begin an option."""
+        """Start an option."""
         self.get_logger().info(f"begins '{self._names[option]}'")
         self._delivery.begin(option, self._now())
 
     def leave(self) -> OptionResult:
-        """Stop the robot, and end the option."""
+        """Stop the robot and end the option."""
         self._go(_STAND)
         return self._delivery.leave(self._now())
 
     def status(self) -> Status:
-        """Report the option that the robot runs."""
+        """Report the running option."""
         level, message, sent = super().status()
         client, delivery = self._agent.client, self._delivery
         option = "none" if delivery.option is None else self._names[delivery.option]
@@ -94,19 +94,19 @@ class NavigationAgent(RobotNode):
         return (level, message, figures) if self.robot.problem else ok(f"option '{option}'", **figures)
 
     def _go_on(self, _: Odometry, odometry: NDArray[np.float64]) -> None:
-        """Go on with the option from the robot's new pose."""
+        """Advance the option from the robot's new pose."""
         first, self._pose = self._pose is None, self._read(odometry)
         if first:
             self._agent.start()
         self._drive()
 
     def _keep(self, _: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep the scan's points in the frame of the odometry."""
+        """Store the scan's points in the odometry frame."""
         if self._pose is not None and self.robot.safety.view is not None:
             self._points = scan_points(self._pose, ranges, scan, self.settings["lidar_x"])
 
     def _drive(self) -> None:
-        """Go on with the option."""
+        """Advance the option."""
         option, place = self._delivery.option, self._delivery.place
         if self._pose is None or self._points is None or self.robot.stale_input():
             return
@@ -122,7 +122,7 @@ class NavigationAgent(RobotNode):
             self._agent.ended(result.reward, result.steps, self._delivery.over(option))
 
     def _go(self, command: NDArray[np.float64]) -> None:
-        """Send a command, or stand where that is not safe."""
+        """Send a command, or stop if it is not safe."""
         try:
             self.robot.drive(command)
         except VelocityError as error:

@@ -1,4 +1,4 @@
-"""The client of an option coordinator as a part of any node: four topics and a timer around `OptionClient`.
+"""Client of an option coordinator for use in any node: four topics and a timer around `OptionClient`.
 
     class Robot(SuiteNode):
         def __init__(self):
@@ -7,8 +7,8 @@
             self.agent.start()
 
 `executor` has the three methods of `OptionExecutor`: `observe`, `begin` and `leave`. The node calls `agent.ended(...)`
-when an option has ended by itself. Repetitions, heartbeats, acknowledgements, cancellation and the safe option are
-handled here.
+when an option has terminated. Repetitions, heartbeats, acknowledgements, cancellation and the safe option are handled
+here.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from option_coordinator.protocol.option_client import ClientTimeouts, OptionClie
 from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock for timers that must run while the ROS clock is set or paused."""
+"""Clock for timers that must run while the ROS clock is adjusted or paused."""
 
 
 def steady_time() -> float:
-    """Return the time since boot [s]: it is never set, and it runs while the machine sleeps."""
+    """Return the time since boot [s], which is never adjusted and includes time in sleep mode."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
@@ -43,7 +43,7 @@ class Clocks:
         node: Node whose ROS clock is read.
 
     Attributes:
-        task: Time in the robots' world; it also counts how often the ROS clock was set.
+        task: Time in the robots' world; also counts the jumps of the ROS clock.
     """
 
     def __init__(self, node: Node) -> None:
@@ -59,15 +59,15 @@ class Clocks:
 
 
 class OptionAgent:
-    """Asks for options on behalf of a robot, and has its executor carry them out.
+    """Requests options for a robot, and has its executor run them.
 
     Args:
         node: Node whose topics, timer and clock are used.
         name: Name of the robot in its team.
         options: Names of the robot's options.
         executor: Executor of the options, often the node itself.
-        safe_option: Index of the option that runs while no grant comes.
-        timeouts: Periods and waiting times; the defaults unless given.
+        safe_option: Index of the option to run while no grant arrives.
+        timeouts: Periods and waiting times; the default ones if omitted.
         namespace: Namespace of the coordinator's topics; the node's own if empty.
         team: Name of the team; may be empty if the namespace has only one team.
 
@@ -106,17 +106,17 @@ class OptionAgent:
         return self.client.grant.option if running and self.client.grant is not None else None
 
     def start(self) -> None:
-        """Ask for the first option."""
+        """Request the first option."""
         self.client.ask(self._now())
         self._send_due()
 
     def ended(self, reward: float = 0.0, steps: int = 0, terminated: bool = False) -> None:
-        """Report that the option has ended by itself, and ask for the next one.
+        """Report that the option has terminated, and request the next one.
 
         Args:
             reward: Discounted reward of the option, as in `OptionResult`.
-            steps: Number of low-level steps that the option took.
-            terminated: Whether the task is over for this robot; it then asks no more.
+            steps: Number of low-level steps of the option.
+            terminated: Whether the task is over for this robot, which then makes no further requests.
         """
         self.client.ended(self._now(), OptionResult(reward, steps), terminated)
         self._send_due()

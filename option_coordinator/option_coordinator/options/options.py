@@ -1,7 +1,7 @@
-"""Agents with options, and the interface of a simulation that carries options out one low-level step at a time.
+"""Agents with options, and the interface of a simulation that executes options one low-level step at a time.
 
-An option is chosen once and then runs for as many steps as it takes (thesis 2.4.2). A `Simulation` knows the options'
-inner policies and how they end, but not who chooses them, or when.
+An option is chosen once and then runs until it terminates (thesis 2.4.2). A `Simulation` implements the options' inner
+policies and termination; the caller decides who chooses, and when.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Agent:
 
     Attributes:
         name: Name of the robot.
-        options: Names of its options; elsewhere an option is known by its index.
-        observation_size: Length of its observation.
+        options: Names of the robot's options; elsewhere options are identified by index.
+        observation_size: Length of the robot's observation.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Agent:
 
 
 def option_mask(counts: Sequence[int]) -> Mask:
-    """Return which options exist, (N, K) with K the largest count, for agents with these numbers of options."""
+    """Return which options exist (N, K), with K the maximum count, for agents with these numbers of options."""
     return np.asarray(np.arange(max(counts)) < np.array(counts)[:, None])
 
 
@@ -45,7 +45,7 @@ class SimulationStep(NamedTuple):
 
     Attributes:
         reward: Joint reward r_k of the team.
-        ended: Whether each agent's option ended with this step.
+        ended: Whether each agent's option ended in this step.
         terminated: Whether the task is over.
     """
 
@@ -55,11 +55,11 @@ class SimulationStep(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Content of a picture of one moment.
+    """A snapshot to draw.
 
     Attributes:
         robots: Position of each robot, by name [m].
-        note: Text about the state that the picture does not show.
+        note: Text on the part of the state that is not drawn.
     """
 
     robots: Mapping[str, tuple[float, float]]
@@ -78,11 +78,11 @@ class Drawable(Protocol):
         """Named positions [m]."""
 
     def scene(self) -> Scene:
-        """Return this moment."""
+        """Return the current scene."""
 
 
 class Simulation(Drawable, Protocol):
-    """A task's low-level world. Agents are known by their index."""
+    """A task's low-level simulation; agents are identified by index."""
 
     @property
     def agents(self) -> tuple[Agent, ...]:
@@ -90,7 +90,7 @@ class Simulation(Drawable, Protocol):
 
     @property
     def step_limit(self) -> int:
-        """Low-level steps after which an episode is cut off."""
+        """Low-level steps after which an episode is truncated."""
 
     @property
     def time_step(self) -> float:
@@ -101,51 +101,51 @@ class Simulation(Drawable, Protocol):
         """Whether agents observe at every decision, or only when their own option has ended."""
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode; whatever is random in it is drawn from `generator`."""
+        """Start an episode; everything random is drawn from `generator`."""
 
     def begin(self, agent: int, option: int) -> None:
-        """Let an agent that runs no option begin one."""
+        """Start an option for an agent without one."""
 
     def interrupt(self, agent: int) -> None:
-        """End an agent's option at once; its progress is lost."""
+        """End an agent's option immediately; its progress is lost."""
 
     def step(self) -> SimulationStep:
-        """Let a low-level step pass; an agent without an option stays as it is."""
+        """Advance by one low-level step; agents without an option stay unchanged."""
 
     def observe(self, agent: int) -> Observation:
-        """Return what an agent sees now."""
+        """Return an agent's current observation."""
 
     def legal(self, agent: int) -> Mask:
-        """Return which options an agent may begin now."""
+        """Return the options that an agent may start now."""
 
     def figures(self) -> dict[str, Any]:
         """Return the metrics of the episode so far, as JSON values."""
 
 
 def check_option(agent: Agent, option: int) -> None:
-    """Refuse an index that is none of the agent's options.
+    """Raise unless an index is one of the agent's options.
 
     Raises:
-        OptionError: it is not.
+        OptionError: The index is invalid.
     """
     if not 0 <= option < len(agent.options):
         raise OptionError(f"{agent.name} has no option {option}: there are 0 to {len(agent.options) - 1}")
 
 
 NONE = -1
-"""Index that stands for no option."""
+"""Index that represents no option."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyQuery:
-    """A question to a policy: who chooses, what the others run, and what is legal.
+    """A query to a policy: who chooses, what the others run, and what is legal.
 
     Attributes:
         observation: Observations of all agents, concatenated (D,).
         choosing: Whether each agent is ready and chooses, U_kappa (N,).
         running: Option that each agent runs, `NONE` for agents that are ready or absent (N,).
-        legal: Whether each option is legal (N, K), with K the maximum number of options: those that an idle agent may
-            begin, all options of an agent that runs one, False beyond an agent's last option.
+        legal: Whether each option is legal (N, K), with K the maximum number of options: the options that an idle agent
+            may start, all options of an agent that runs one, and False beyond an agent's last option.
     """
 
     observation: Observation
@@ -156,20 +156,20 @@ class PolicyQuery:
 
 @dataclass(frozen=True, eq=False)
 class Decision(PolicyQuery):
-    """A point in time at which agents choose options, with the reward since the last one.
+    """A time at which agents choose options, with the reward since the previous decision.
 
-    Each agent's observation is the current one, or that at the end of its last option, as
-    `Simulation.observes_while_running` says.
+    Depending on `Simulation.observes_while_running`, each agent's observation is the current one or that at the end of
+    its last option.
 
     Attributes:
         agents: All N robots, in the policy's order.
         present: Whether each agent is present; absent agents neither choose nor run an option (N,).
         reward: Discounted joint reward since the last decision, sum_i gamma^i r_i (0 at a reset).
         rewards: Joint reward of each low-level step since the last decision.
-        discount: Discount gamma^tau of this decision's value, seen from the last decision.
+        discount: Discount gamma^tau of this decision's value relative to the last decision.
         terminated: Whether the task is over.
-        truncated: Whether the episode was cut off: no agent chooses, but the value of this decision still counts. In a
-            synchronous team no option runs on then.
+        truncated: Whether the episode was truncated: no agent chooses, but the value of this decision still counts. In
+            a synchronous team, no option continues in that case.
     """
 
     agents: tuple[Agent, ...]
@@ -197,22 +197,22 @@ class Decision(PolicyQuery):
 
     @property
     def running_options(self) -> dict[str, int]:
-        """Option of each agent that runs one, by name."""
+        """Running options by agent name."""
         return {agent.name: int(o) for agent, o in zip(self.agents, self.running, strict=True) if o != NONE}
 
     @cached_property
     def observations(self) -> dict[str, Observation]:
-        """Last observation of each agent, by name."""
+        """Latest observation of each agent, by name."""
         ends = np.cumsum([agent.observation_size for agent in self.agents])
         return dict(zip((a.name for a in self.agents), np.split(self.observation, ends[:-1]), strict=True))
 
     @property
     def masks(self) -> dict[str, Mask]:
-        """Legal options of each agent that is ready, by name."""
+        """Legal options of each ready agent, by name."""
         rows = zip(self.agents, self.legal, self.choosing, strict=True)
         return {agent.name: row[: len(agent.options)] for agent, row, ready in rows if ready}
 
     def named(self, options: NDArray[np.int64]) -> dict[str, int]:
-        """Return the options of the agents that choose, by name, from joint options (N,)."""
+        """Return the options of the choosing agents by name, from joint options (N,)."""
         rows = zip(self.agents, options, self.choosing, strict=True)
         return {agent.name: int(option) for agent, option, chooses in rows if chooses}

@@ -1,11 +1,11 @@
-"""The conditional joint policy pi-hat(o_U | o_not-U, s) of thesis Eq. 5.2 and 5.3: one interface for every kind.
+"""The conditional joint policy pi-hat(o_U | o_not-U, s) of thesis Eq. 5.2 and 5.3: one interface for all kinds.
 
     conditional = policy.given(observation, choosing, running, legal)
     options = conditional.sample(generator)
 
-`choosing` are the agents that need an option (U); those that run one are conditions. An agent that neither chooses nor
-runs anything is absent: its option is summed out. With legality masks the joint policy is restricted to joint options
-whose chosen part is legal, and normalised again. NumPy alone: this is what runs beside the robots.
+`choosing` marks the agents that need an option (U); the policy is conditioned on those that run one. An agent that
+neither chooses nor runs anything is absent, and its option is marginalised out. Legality masks restrict the joint
+policy to joint options with a legal chosen part, and renormalise it. NumPy only, because this code runs on robots.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from option_coordinator.options.options import NONE, Mask, PolicyQuery, option_m
 Array = NDArray[np.floating]
 JointOptions = NDArray[np.int64]
 ENUMERABLE = 4096
-"""Maximum number of joint options to enumerate for the entropy, which takes milliseconds."""
+"""Maximum number of joint options enumerated for the entropy, which takes milliseconds."""
 MODE_ENUMERABLE = 128
-"""Maximum number to enumerate for the most likely one, in tenths of a millisecond, because robots wait for it."""
+"""Maximum number enumerated for the mode, within tenths of a millisecond, because robots wait for it."""
 _DRAWS = 1000
 _NOT_FINITE = "the policy's probabilities are not finite: nothing can be chosen by them"
 
 
 class Conditional(ABC):
-    """pi-hat(. | o_not-U, s): a distribution over the choosing agents' options.
+    """The distribution pi-hat(. | o_not-U, s) over the choosing agents' options.
 
     Attributes:
         counts: Number of options of each of the N agents.
         choosing: Whether each agent chooses (N,).
-        running: Option of each agent that runs one, `NONE` for the others (N,).
+        running: Option of each running agent; `NONE` for the others (N,).
         legal: Whether each agent may choose each option (N, K).
     """
 
@@ -49,21 +49,21 @@ class Conditional(ABC):
 
     @abstractmethod
     def log_prob(self, options: JointOptions) -> Array:
-        """Return log pi-hat (...,) of options (..., N); only choosing agents' count, and illegal ones give -inf."""
+        """Return log pi-hat (...,) of options (..., N); only choosing agents count, and illegal options give -inf."""
 
     @abstractmethod
     def sample(self, generator: np.random.Generator) -> JointOptions:
-        """Return options (N,): draws for choosing agents, the running ones of others, `NONE` for absent ones."""
+        """Return options (N,): samples for choosing agents, running options of others, `NONE` for absent ones."""
 
     def mode(self) -> JointOptions:
-        """Return the most likely options (N,), by `_rough_mode` beyond `MODE_ENUMERABLE` joint options."""
+        """Return the most likely options (N,); beyond `MODE_ENUMERABLE` joint options an approximation."""
         if self.size > MODE_ENUMERABLE:
             return self._rough_mode()
         choices = self.choices()
         return choices[most_likely(self.log_prob(choices))]
 
     def entropy(self) -> float:
-        """Return the entropy [nat]; beyond `ENUMERABLE` joint options an estimate from 1000 draws, always the same."""
+        """Return the entropy [nat]; beyond `ENUMERABLE` joint options a reproducible estimate from 1000 samples."""
         if self.size > ENUMERABLE:
             generator = np.random.default_rng(0)
             draws = np.stack([self.sample(generator) for _ in range(_DRAWS)])
@@ -72,14 +72,14 @@ class Conditional(ABC):
         return float(-np.sum(np.exp(logs) * logs))
 
     def with_chosen(self, chosen: JointOptions | Sequence[Any]) -> JointOptions:
-        """Return joint options (N,): these for choosing agents, the running ones of others, `NONE` for absent ones."""
+        """Return joint options (N,): these for choosing agents, running options of others, `NONE` for absent ones."""
         out = self.running.copy()
         out[self.choosing] = chosen
         return out
 
     @property
     def size(self) -> int:
-        """Number of legal joint options to choose from."""
+        """Number of legal joint options."""
         return math.prod(len(row) for row in self._legal_options)
 
     def choices(self) -> JointOptions:
@@ -110,7 +110,7 @@ class JointPolicy(ABC):
 
     @cached_property
     def option_mask(self) -> Mask:
-        """Whether each agent has each option, (N, K) with K the largest count."""
+        """Whether each agent has each option, (N, K) with K the maximum count."""
         return option_mask(self.counts)
 
     @cached_property
@@ -125,8 +125,8 @@ class JointPolicy(ABC):
         Args:
             observation: Observations of all agents, concatenated (observation_size,).
             choosing: Whether each agent chooses; agents that run an option do not (N,).
-            running: Option of each agent that runs one, `NONE` for the others (N,).
-            legal: Whether each agent may choose each option (N, K), K the largest count; all unless given.
+            running: Option of each running agent; `NONE` for the others (N,).
+            legal: Whether each agent may choose each option (N, K), K the maximum count; all by default.
 
         Raises:
             OptionError: Sizes are wrong, the observation is not finite, options are out of range, or none is legal.
@@ -142,13 +142,13 @@ class JointPolicy(ABC):
     def choose(
         self, query: PolicyQuery, generator: np.random.Generator | None = None
     ) -> tuple[JointOptions, Conditional]:
-        """Return options (N,), drawn by the generator or else the most likely, and pi-hat; see `given`."""
+        """Return options (N,), sampled with the generator or else the most likely ones, and pi-hat; see `given`."""
         conditional = self.given(query.observation, query.choosing, query.running, query.legal)
         return conditional.mode() if generator is None else conditional.sample(generator), conditional
 
     @abstractmethod
     def valid(self, query: PolicyQuery) -> Conditional:
-        """Return pi-hat without checking the decision, for instance one of `OptionEnvironment`."""
+        """Return pi-hat without validating the decision, which must be valid, e.g. from `OptionEnvironment`."""
 
     def _check(self, query: PolicyQuery) -> None:
         observation, choosing, running = query.observation, query.choosing, query.running
@@ -169,7 +169,7 @@ class JointPolicy(ABC):
 
 
 def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
-    """Return log sum exp, -inf if all terms are."""
+    """Return log sum exp; -inf if all terms are -inf."""
     top = np.maximum.reduce(x, axis=axis, keepdims=True, initial=-np.inf)  # the methods take twice as long
     if np.isfinite(top).all():  # as nearly always: the rest costs more than this
         out = np.log(np.add.reduce(np.exp(x - top), axis=axis, keepdims=True)) + top
@@ -181,10 +181,10 @@ def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
 
 
 def draw(log_probabilities: Array, generator: np.random.Generator) -> JointOptions:
-    """Draw (...) from each row of normalised log-probabilities (..., K).
+    """Sample (...) from each row of normalised log-probabilities (..., K).
 
     Raises:
-        OptionError: They are NaN, for instance because a network's observations or weights are too large.
+        OptionError: The log-probabilities are NaN, e.g. because a network's observations or weights are too large.
     """
     total = np.cumsum(np.exp(log_probabilities), axis=-1)
     if not np.isfinite(total[..., -1]).all():
@@ -198,7 +198,7 @@ def most_likely(log_probabilities: Array) -> int:
     """Return the flat index of the maximum.
 
     Raises:
-        OptionError: As in `draw`.
+        OptionError: As for `draw`.
     """
     best = int(np.argmax(log_probabilities))  # the first that is not a number, if there is one
     if not np.isfinite(log_probabilities.flat[best]):

@@ -1,4 +1,4 @@
-"""The joint policies that networks give, in NumPy: a joint table, a mixture of products, one agent after the other."""
+"""Joint policies given by networks, in NumPy: a joint table, a mixture of products, and an autoregressive chain."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def features(tensors: Tensors, x: Array) -> Array:
 
 
 def part(tensors: Tensors, prefix: str) -> dict[str, Array]:
-    """Return the tensors whose names begin with a prefix, which is removed."""
+    """Select the tensors whose names start with a prefix, and remove the prefix."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 class NetworkPolicy(JointPolicy):
-    """A joint policy with MAPPO's trunk; the first norm's size is the observation's.
+    """A joint policy with MAPPO's trunk; the size of the first norm is the observation's.
 
     Args:
         tensors: Tensors of the trunk and of the subclass's head, by name.
@@ -62,10 +62,11 @@ class NetworkPolicy(JointPolicy):
 
 
 class Autoregressive(NetworkPolicy):
-    """pi-hat(o_U | o_not-U, s) = prod_i pi(o_i | known options, s), i through U in the order of the agents.
+    """pi-hat(o_U | o_not-U, s) = prod_i pi(o_i | known options, s), with i through U in agent order.
 
-    What the others run is known first, then each choice joins what is known; absent agents never do. Every conditional
-    is normalised, but those of different running sets need not share one joint (arXiv 2205.13554).
+    The known options are initially those that the others run; each choice is then added, and absent agents are ignored.
+    Every conditional is normalised, but those of different running sets need not belong to one joint distribution
+    (arXiv 2205.13554).
 
     Args:
         tensors: Tensors of the trunk; `state` and `known`, whose sum is the hidden layer (`norm`); `head` (sum K).
@@ -78,7 +79,7 @@ class Autoregressive(NetworkPolicy):
 
 
 class _AutoregressiveConditional(Conditional):
-    """The chain of conditionals, given what runs and what is legal."""
+    """The chain of conditionals, given running and legal options."""
 
     def __init__(self, tensors: Tensors, counts: tuple[int, ...], query: PolicyQuery) -> None:
         super().__init__(counts, query)
@@ -140,7 +141,7 @@ class JointTable(NetworkPolicy):
 
 
 class _TableConditional(Conditional):
-    """The table where the running options are fixed and the absent agents are summed out."""
+    """The table with the running options fixed and the absent agents marginalised out."""
 
     def __init__(self, logits: Array, query: PolicyQuery) -> None:
         super().__init__(logits.shape, query)
@@ -177,15 +178,15 @@ class _TableConditional(Conditional):
 
 _CLIMBERS = 3
 _SWEEPS = 5
-"""Maximum number of improvements, because robots wait for the answer."""
+"""Maximum number of improvement sweeps, limited because robots wait for the answer."""
 
 
 class Mixture(NetworkPolicy):
-    """A mixture of R products.
+    """A mixture of R product distributions.
 
-    sum_r w_r(s) prod_i p_ri(o_i | s) has exact conditionals for any set of running agents. Given what others run it is
-    a mixture again, with weights w'_r proportional to w_r prod_running p_rj(o_j): log-probability and draw cost O(R
-    sum_i K_i), for hundreds of robots.
+    sum_r w_r(s) prod_i p_ri(o_i | s) has exact conditionals for any set of running agents. Conditioned on running
+    options, it is again a mixture, with weights w'_r proportional to w_r prod_running p_rj(o_j): log-probability and
+    sampling cost O(R sum_i K_i), which suits hundreds of robots.
 
     Args:
         tensors: Tensors of the trunk, of `weights` (R) and of `head` (R sum K).
@@ -210,7 +211,7 @@ class Mixture(NetworkPolicy):
 
 
 class _MixtureConditional(Conditional):
-    """The mixture's weights and factors, given what runs and what is legal."""
+    """The mixture's weights and factors, given running and legal options."""
 
     def __init__(self, counts: tuple[int, ...], weights: Array, logits: Array, query: PolicyQuery) -> None:
         super().__init__(counts, query)
@@ -239,9 +240,9 @@ class _MixtureConditional(Conditional):
         return self.with_chosen(draw(self._factors[component], generator))
 
     def _rough_mode(self) -> JointOptions:
-        """Return the best of the components' modes, after a limited number of improvements agent by agent.
+        """Return the best of the components' modes after a limited number of improvements, agent by agent.
 
-        Only the best few are improved, because the others are far less likely.
+        Only the best few modes are improved, because the others are far less likely.
         """
         starts = np.stack([self.with_chosen(np.argmax(factors, axis=-1)) for factors in self._factors])
         order = np.argsort(-self.log_prob(starts))[:_CLIMBERS]
@@ -249,7 +250,7 @@ class _MixtureConditional(Conditional):
         return ends[most_likely(self.log_prob(ends))]
 
     def _climb(self, options: JointOptions) -> JointOptions:
-        """Set each agent's option in turn to its best, given the rest."""
+        """Set each agent's option in turn to its best value, given the rest."""
         agents = np.arange(len(self._agents))
         chosen = options[self._agents]
         terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri, of what is chosen

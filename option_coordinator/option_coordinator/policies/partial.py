@@ -1,7 +1,7 @@
-"""Partially centralised choice (thesis Eq. 5.5): each agent knows its own observation and what the others run.
+"""Partially centralised choice (thesis Eq. 5.5): each agent knows its own observation and the others' running options.
 
-Agent i asks its own joint policy pi^i for its option only: pi^i(o_i, o_not-U | s_i) / pi^i(o_not-U | s_i). Agents that
-choose at the same moment do not know each other's choice.
+Agent i uses its own joint policy pi^i for its own option only: pi^i(o_i, o_not-U | s_i) / pi^i(o_not-U | s_i). Agents
+that choose simultaneously do not know each other's choice.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from option_coordinator.policies.joint_policy import Array, Conditional, JointOp
 
 
 class Partial(JointPolicy):
-    """One joint policy per agent, for that agent's choice.
+    """One joint policy per agent, used for that agent's choice.
 
     Args:
-        policies: Joint policies over all agents' options, one for each agent, by its own observation.
+        policies: Joint policies over all agents' options, one per agent, each given that agent's observation.
     """
 
     def __init__(self, policies: Sequence[JointPolicy]) -> None:
@@ -38,7 +38,7 @@ class Partial(JointPolicy):
 
 
 class _PartialConditional(Conditional):
-    """The product of the choosers' own conditionals."""
+    """The product of the choosing agents' own conditionals."""
 
     def __init__(self, counts: tuple[int, ...], query: PolicyQuery, parts: dict[int, Conditional]) -> None:
         super().__init__(counts, query)
@@ -62,12 +62,12 @@ class _PartialConditional(Conditional):
 
 
 class Presence(JointPolicy):
-    """A joint policy whose network gets N further inputs: 1 for each agent that is present, else 0.
+    """A joint policy whose network has N additional inputs: 1 for each agent that is present, else 0.
 
     An agent is present if it chooses or runs an option.
 
     Args:
-        policy: Joint policy of the network that sees these numbers.
+        policy: Joint policy of the network with these inputs.
     """
 
     def __init__(self, policy: JointPolicy) -> None:

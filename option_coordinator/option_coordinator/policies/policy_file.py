@@ -1,4 +1,4 @@
-"""The file of a joint policy: tensors in safetensors, and a manifest that names the agents. No pickles.
+"""The file of a joint policy: tensors in safetensors format, and a manifest that names the agents.
 
 policy = OptionPolicy.load(Path("policy.safetensors"))
 choices = policy.choose(decision, generator)
@@ -36,7 +36,7 @@ class _Agent(Schema):
 
 
 class _Header(Schema):
-    """Header of the file; the fields are those of `OptionPolicy`."""
+    """Header of the file, with the fields of `OptionPolicy`."""
 
     format: Literal["option-policy-1"]
     agents: Annotated[list[_Agent], Field(min_length=1, max_length=1000)]
@@ -58,15 +58,15 @@ HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the shipped policies by the name of their team."""
+    """Return the shipped policies by team name."""
     return {file.stem: file for file in sorted((Path(__file__).parent / "pretrained").glob("*.safetensors"))}
 
 
 def policy_file(name_or_path: Path | str) -> Path:
-    """Return the file of a shipped policy, or the path itself.
+    """Return the file of a shipped policy, or the path unchanged.
 
     Raises:
-        OptionError: There is no such policy.
+        OptionError: The policy does not exist.
     """
     shipped = shipped_policies()
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
@@ -82,10 +82,10 @@ def policy_file(name_or_path: Path | str) -> Path:
 def make_policy(
     head: str, tensors: Tensors, counts: tuple[int, ...], partial: bool, presence: bool = False
 ) -> JointPolicy:
-    """Make a joint policy from its tensors; a partial one's begin with "0.", "1." and so on.
+    """Create a joint policy from its tensors; those of a partial policy start with "0.", "1." etc.
 
     Raises:
-        OptionError: There is no such kind, or a tensor is missing.
+        OptionError: The kind is unknown, or a tensor is missing.
     """
     if head not in HEADS:
         raise OptionError(f"no kind of joint policy '{head}': there are {', '.join(HEADS)}")
@@ -105,12 +105,12 @@ class OptionPolicy:
     """A joint policy with its agents, tensors and manifest.
 
     Attributes:
-        agents: Agents whose options it chooses, in its order.
+        agents: Agents whose options are chosen, in the policy's order.
         head: Kind of joint policy, a key of `HEADS`.
-        partial: Whether each agent has a policy of its own (Eq. 5.5).
+        partial: Whether each agent has its own policy (Eq. 5.5).
         tensors: Tensors of the policy's networks, by name.
-        presence: Whether its network is told which agents are present, see `presence`.
-        greedy: Whether it is used by its most likely options, rather than by draws.
+        presence: Whether the network also observes which agents are present, see `Presence`.
+        greedy: Whether to use the most likely options rather than samples.
         manifest: Task, digest, method and results, as JSON values.
     """
 
@@ -133,16 +133,16 @@ class OptionPolicy:
         return policy
 
     def choose(self, decision: Decision, generator: np.random.Generator) -> dict[str, int]:
-        """Return an option for each agent that is ready: a draw, or the most likely ones if it is `greedy`."""
+        """Return an option for each ready agent: a sample, or the most likely one if `greedy`."""
         return decision.named(self.joint.choose(decision, None if self.greedy else generator)[0])
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of its file, or of the file that `save` would write."""
+        """SHA-256 (hex) of the policy's file, or of the file that `save` would write."""
         return hashlib.sha256(self._content()).hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write it atomically."""
+        """Write the policy atomically."""
         atomic_write(path, self._content())
 
     def _content(self) -> bytes:
@@ -153,10 +153,10 @@ class OptionPolicy:
 
     @classmethod
     def load_for(cls, path: Path | str, agents: Iterable[Agent]) -> Self:
-        """Read the policy of a team.
+        """Load the policy of a team.
 
         Raises:
-            OptionError: As in `load`, or it is another team's.
+            OptionError: As for `load`, or the policy belongs to another team.
         """
         policy = cls.load(path)
         if policy.agents != tuple(agents):
@@ -166,10 +166,10 @@ class OptionPolicy:
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read a shipped policy by name, or a file.
+        """Load a shipped policy by name, or a file.
 
         Raises:
-            OptionError: The file is missing, or is not such a policy; the message names it.
+            OptionError: The file is missing or not a joint policy; the message names it.
         """
         file = policy_file(path)
         with raise_as(OptionError, file):
@@ -183,10 +183,10 @@ class OptionPolicy:
         return policy
 
     def check(self) -> None:
-        """Check that the policy can choose.
+        """Check that the policy is complete.
 
         Raises:
-            OptionError: A tensor is missing, or has another size.
+            OptionError: A tensor is missing or has the wrong size.
         """
         everyone = np.ones(len(self.agents), dtype=bool)
         try:

@@ -1,4 +1,4 @@
-"""Queries a policy and falls back to the safe options if its answer is invalid."""
+"""Queries a policy, and falls back to the safe options if its answer is invalid."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
 
 PolicyFn = Callable[[PolicyQuery], tuple[JointOptions, float]]
-"""Function that returns options (N,), of which only the choosing agents' count, and their log-probability."""
+"""Function that returns options (N,), used for the choosing agents only, and their log-probability."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyAnswer:
-    """Answer to a query.
+    """Answer to a policy query.
 
     Attributes:
-        options: Options (N,), -1 where nothing can be granted.
-        log_probability: Log-probability of the policy's choice, 0 where the policy failed.
+        options: Options (N,); -1 if nothing can be granted.
+        log_probability: Log-probability of the policy's choice; 0 if the policy failed.
         by_policy: Whether the policy chose; otherwise these are the safe options.
         faults: Reasons why the policy failed, as keys of counters.
     """
@@ -35,7 +35,7 @@ class PolicyAnswer:
 
 
 def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> PolicyFn:
-    """Turn a learned policy into a function for a coordinator."""
+    """Adapt a learned policy for a coordinator."""
 
     def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         options, conditional = policy.joint.choose(choice, None if policy.greedy else generator)
@@ -45,9 +45,9 @@ def learned_policy_fn(policy: OptionPolicy, generator: np.random.Generator) -> P
 
 
 def query_with_fallback(choice: PolicyQuery, policy: PolicyFn, limit: float, safe: Sequence[int]) -> PolicyAnswer:
-    """Ask the policy; take the safe options if it fails, exceeds the time limit [s] or chooses an illegal option.
+    """Query the policy; use the safe options if it fails, exceeds the time limit [s] or chooses an illegal option.
 
-    Robots wait for the answer and a policy may be any code, so every error is caught.
+    Every error is caught, because robots wait for the answer and a policy may be arbitrary code.
     """
     began = time.perf_counter()
     try:

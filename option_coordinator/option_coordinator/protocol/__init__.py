@@ -1,4 +1,4 @@
-"""The protocol between robots and coordinators. Pure logic: no ROS, and no clock."""
+"""The protocol between robots and coordinators. No ROS, no clock."""
 
 import lazy_loader as lazy
 

@@ -1,8 +1,8 @@
 """The time of an event on three clocks. No ROS.
 
-Silence is measured on a steady clock, which is never set. An option's duration is measured in the time of its world,
-because a simulation may be paused, or faster than real time. Messages are stamped by the ROS clock, which may be set at
-any time.
+Silence is measured on a steady clock, which is never adjusted. Option durations are measured in task time, because a
+simulation may be paused or faster than real time. Messages are stamped by the ROS clock, which may be adjusted at any
+time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class ClockReading(NamedTuple):
 
     Attributes:
         steady: Steady clock, for leases, time-outs and repetitions.
-        task: Time that has passed in the robots' world, as `TaskTime` measures it, for the durations of options.
+        task: Time elapsed in the robots' world, measured by `TaskTime`, for option durations.
         stamp: ROS clock, for the stamps of messages.
     """
 
@@ -28,13 +28,13 @@ class ClockReading(NamedTuple):
 
 
 class TaskTime:
-    """Time in the robots' world [s]: it starts at 0, never runs backwards, and ignores changes of the clock.
+    """Time in the robots' world [s]: starts at 0, never decreases, and ignores clock adjustments.
 
-    Without simulation it is steady time. In a simulation, a step back, or a step ahead of more than 10 s and more than
-    100 times real time, counts as a change of the clock: no time passes then.
+    Without simulation, this is steady time. In a simulation, a jump back, or a jump ahead of more than 10 s and more
+    than 100 times real time, counts as a clock adjustment during which no time passes.
 
     Attributes:
-        jumps: Number of times that the clock was set.
+        jumps: Number of clock adjustments.
     """
 
     def __init__(self) -> None:
@@ -43,10 +43,10 @@ class TaskTime:
         self._read: tuple[bool, float, float] | None = None
 
     def __call__(self, stamp: float, steady: float, simulated: bool) -> float:
-        """Return the time that has passed.
+        """Return the elapsed task time.
 
         Args:
-            stamp: ROS's clock [s].
+            stamp: ROS clock [s].
             steady: Steady clock [s].
             simulated: Whether the ROS clock is simulated.
         """

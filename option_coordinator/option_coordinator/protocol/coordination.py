@@ -1,9 +1,9 @@
-"""A coordinator that grants options to robots when they are ready and ask (thesis Algorithm 3). No ROS, no clock.
+"""A coordinator that grants options to robots on request when they are ready (thesis Algorithm 3). No ROS, no clock.
 
-Before a coordinator decides anything it listens for a lease, until no other coordinator decides (see `election`) and
-every robot was heard. Robots report what they run and the highest epoch they have seen; the coordinator takes a higher
-one, and robots obey only the highest. The coordinator believes what robots say they run: a grant that was on its way
-when a coordinator died is adopted, never given twice.
+Before it decides anything, a coordinator listens for a lease, until no other coordinator decides (see `election`) and
+every robot has been heard. Robots report their running option and the highest epoch they have seen; the coordinator
+takes a higher epoch, and robots obey only the highest. The coordinator trusts these reports: a grant in transit when
+another coordinator died is adopted, never issued twice.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec, Tea
 
 
 class Coordinator(Replica):
-    """Decides for a team. Its methods return the messages to send; call `tick` every few milliseconds.
+    """Makes the decisions for a team. Its methods return the messages to send; call `tick` every few milliseconds.
 
     Args:
         robots: Robots, in the policy's order.
-        policy: Policy that is asked, see `policy_query`.
+        policy: Policy to query, see `policy_query`.
         digest: SHA-256 (hex) of the policy's file, empty for a policy without one.
         now: Time at which the coordinator begins to listen.
-        timeouts: Waiting times; the defaults unless given.
-        seed: Seed of the epochs, see `Election`; random unless given.
+        timeouts: Waiting times; the default ones if omitted.
+        seed: Seed of the epochs, see `Election`; random by default.
         discount: Discount factor gamma of a low-level step.
         team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
 
@@ -75,7 +75,7 @@ class Coordinator(Replica):
 
     @property
     def batches(self) -> bool:
-        """Whether a request waits to be decided together with others."""
+        """Whether a request is waiting to be decided together with others."""
         return self._due < math.inf
 
     def replace_policy(self, policy: PolicyFn, digest: str) -> None:
@@ -84,7 +84,7 @@ class Coordinator(Replica):
         self.counts["policies replaced"] += 1
 
     def on_request(self, request: Request, now: ClockReading) -> Answers:
-        """Handle a request: repeat its answer, refuse it, or decide it, now or in `end_batch`."""
+        """Handle a request: repeat its answer, reject it, or decide it, now or in `end_batch`."""
         entry = self._hear(request, now)
         if isinstance(entry, Refusal):
             return self._refuse(request, now, entry) if self._decides(now) else Answers()
@@ -99,7 +99,7 @@ class Coordinator(Replica):
         return Answers()
 
     def on_status(self, status: Status, now: ClockReading) -> Answers:
-        """Handle a heartbeat: a sign of life, an acknowledgement, or news about what a robot runs."""
+        """Handle a heartbeat: a sign of life, an acknowledgement, or news about a robot's running option."""
         entry = self._hear(status, now)
         if not isinstance(entry, RobotState):
             return Answers()
@@ -119,7 +119,7 @@ class Coordinator(Replica):
         return Answers()
 
     def tick(self, now: ClockReading) -> Answers:
-        """Advance time: take over, decide, repeat unacknowledged grants, cancel options that take too long."""
+        """Advance time: take over, decide, repeat unacknowledged grants, cancel options that exceed their deadline."""
         if self._quiet(now):
             return Answers()
         for entry in self.ledger.values():
@@ -140,11 +140,11 @@ class Coordinator(Replica):
         )
 
     def end_batch(self, now: ClockReading) -> Answers:
-        """Decide all requests whose time to wait for others is over."""
+        """Decide all requests whose batch window has ended."""
         return self._decide_when_due(now) if self._decides(now) else Answers()
 
     def close(self, now: ClockReading) -> Answers:
-        """End the episode; return its last step if one has begun and is not over."""
+        """End the episode; return its last step if an episode is open."""
         return Answers(steps=[self._last_step(now, terminated=False)] if self.epoch and self._recorder.open else [])
 
     def _forget(self, now: ClockReading) -> None:
@@ -183,7 +183,7 @@ class Coordinator(Replica):
         return Answers([refused_grant(request, refusal, self.epoch, self.team, now)])
 
     def _credit(self, entry: RobotState, request: Request) -> None:
-        """Credit the reward of the robot's last option, once."""
+        """Credit the reward of the robot's last option, exactly once."""
         if entry.option == NONE:
             return
         longest = self._robots[entry.agent].durations[entry.option]
@@ -191,7 +191,7 @@ class Coordinator(Replica):
             self.counts["rewards too large"] += 1
 
     def _finish(self, entry: RobotState, request: Request, now: ClockReading) -> Answers:
-        """Record that the task is over for a robot; the last robot's report ends the episode."""
+        """Record that a robot's task is over; the last robot's report ends the episode."""
         if entry.done:
             return self._refuse(request, now, TASK_OVER)
         if math.isfinite(request.option_reward):
@@ -220,7 +220,7 @@ class Coordinator(Replica):
         self.counts["adopted grants"] += 1
 
     def _overdue(self, entry: RobotState, now: ClockReading) -> list[Grant]:
-        """Return the grant or cancellation to send to a robot, perhaps again."""
+        """Return the grant or cancellation due for a robot, possibly a repetition."""
         if not entry.runs:
             return []
         duration = self._robots[entry.agent].durations[entry.option]
@@ -237,7 +237,7 @@ class Coordinator(Replica):
         return standing_grant(entry, self._robots[entry.agent], self.epoch, self.team, now)
 
     def _all_wait(self) -> bool:
-        """Whether every robot that is heard waits, so that no further request can arrive."""
+        """Return whether every reachable robot is waiting, so that no further request can arrive."""
         return all(
             entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger.values()
         )
@@ -246,7 +246,7 @@ class Coordinator(Replica):
         return self._decide(now) if now.steady >= self._due else Answers()
 
     def _decide(self, now: ClockReading) -> Answers:
-        """Decide for all waiting robots that are heard; a silent robot asks again when it returns."""
+        """Decide for all reachable waiting robots; a silent robot asks again when it returns."""
         self._due = math.inf
         waiting = (entry for entry in self.ledger.values() if entry.state is State.WAITING)
         requests = {entry.agent: entry.pending for entry in waiting if entry.pending is not None}

@@ -1,12 +1,12 @@
-"""Leader election: among coordinators that hear each other, the one with the highest epoch decides. No ROS, no clock.
+"""Leader election: among connected coordinators, the one with the highest epoch decides. No ROS, no clock.
 
-A listener takes over once it has heard no decider for a lease, in an epoch above all it has seen. A decider announces
-itself several times per lease, and listens again when it sees a higher epoch.
+A listener takes over after a lease without a decider, in an epoch above all it has seen. A decider announces itself
+several times per lease, and returns to listening when it sees a higher epoch.
 
-If messages arrive within a lease, exactly one decider remains, however many coordinators there are and whenever they
-start: all deciders but the highest step down when they hear it, no listener that hears it takes over, and no epoch is
-higher, because only a take-over makes a new one. A dead decider is replaced after a lease. Only a lease of silence
-proves that others are absent: what the middleware knows about its peers can be seconds old.
+If messages arrive within a lease, exactly one decider remains, regardless of the number of coordinators and their start
+times: all deciders but the highest step down when they hear it, no listener that hears it takes over, and no higher
+epoch appears, because only a take-over creates one. A dead decider is replaced after a lease. Only a lease of silence
+proves that others are absent, since the middleware's knowledge of its peers can be seconds old.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _CANDIDATES = 16
 
 
 class Epochs:
-    """The highest epoch believed. One corrupt message must not raise it beyond every coordinator's reach.
+    """Tracks the highest trusted epoch, so that one corrupt message cannot raise it beyond every coordinator's reach.
 
-    A rise by up to 16 take-overs is believed at once, as is the first epoch heard. A larger jump is believed once the
-    same epoch has been heard for a lease: a coordinator repeats its own several times per lease.
+    A rise by up to 16 take-overs is accepted at once, as is the first epoch received. A larger jump is accepted after
+    the same epoch has been received for a lease, because a coordinator repeats its epoch several times per lease.
 
     Args:
-        lease: Time for which a leap must be heard [s].
+        lease: Time for which a larger jump must be reported [s].
 
     Attributes:
-        highest: Highest epoch believed, 0 for none.
-        refused: Number of times that an epoch was not believed.
+        highest: Highest accepted epoch; 0 for none.
+        refused: Number of rejected epochs.
     """
 
     def __init__(self, lease: float) -> None:
@@ -41,7 +41,7 @@ class Epochs:
         self._leaps: dict[int, tuple[float, float]] = {}
 
     def believe(self, epoch: int, now: float) -> bool:
-        """Return whether an epoch is believed; if so, raise the highest to it."""
+        """Return whether an epoch is accepted; if so, update the highest one."""
         if epoch <= self.highest:
             return True
         near = epoch <= self.highest + _RISE or (self.highest == 0 and epoch < _LARGEST_LEAP)
@@ -53,7 +53,7 @@ class Epochs:
         return False
 
     def _lasts(self, epoch: int, now: float) -> bool:
-        """Whether an epoch jump was reported continuously for one lease."""
+        """Return whether an epoch jump was reported continuously for one lease."""
         first, last = self._leaps.pop(epoch, (now, now))
         if now - last > self._lease:
             first = now
@@ -67,14 +67,14 @@ class Election:
     """One coordinator's part in the election. Times are in seconds of a steady clock.
 
     Args:
-        now: Time at which it begins to listen [s].
-        lease: Time for which it listens before it takes over [s].
-        seed: Seed of the random part by which the epochs of simultaneous take-overs differ.
+        now: Time at which listening starts [s].
+        lease: Listening time before a take-over [s].
+        seed: Seed of the random bits that distinguish the epochs of simultaneous take-overs.
 
     Attributes:
-        epoch: Epoch in which this coordinator decides, 0 while it listens.
+        epoch: Epoch in which this coordinator decides; 0 while listening.
         stands_by: Whether another coordinator decides.
-        seen: Epochs that it has heard of.
+        seen: Epochs received so far.
     """
 
     def __init__(self, now: float, lease: float, seed: int | None = None) -> None:
@@ -90,14 +90,14 @@ class Election:
         self._takes_over_at = now + self._lease
 
     def on_epoch(self, epoch: int, now: float) -> bool:
-        """Record an epoch that somebody has seen; return whether this coordinator must step down."""
+        """Record an epoch seen by another participant; return whether this coordinator must step down."""
         if not self.seen.believe(epoch, now) or not 0 < self.epoch < epoch:
             return False
         self.listen(now)
         return True
 
     def on_coordinator_heartbeat(self, epoch: int, now: float) -> bool:
-        """Record another decider; return whether this one steps down. Epochs below the highest seen do not count."""
+        """Record another decider; return whether this one must step down. Epochs below the highest are ignored."""
         down = self.on_epoch(epoch, now)
         if not self.epoch and epoch == self.seen.highest:
             self.listen(now)
@@ -105,7 +105,7 @@ class Election:
         return down
 
     def tick(self, now: float, ready: bool = True) -> bool:
-        """Advance time; return whether a heartbeat is due. A coordinator that is not `ready` goes on listening."""
+        """Advance time; return whether a heartbeat is due. A coordinator that is not `ready` keeps listening."""
         if not self.epoch and ready and now >= self._takes_over_at:
             self.epoch = self.seen.highest = self._next_epoch()
             self.stands_by = False
@@ -116,8 +116,9 @@ class Election:
         return True
 
     def _next_epoch(self) -> int:
-        """Return an epoch above the highest: the upper bits count, the lower 32 are random.
+        """Return an epoch above the highest: the upper bits count up, the lower 32 are random.
 
-        Two simultaneous take-overs have seen the same epochs; with plain counting both would decide in one epoch.
+        Two simultaneous take-overs have seen the same epochs; with plain counting both would decide in the same new
+        one.
         """
         return ((self.seen.highest >> _LOT_BITS) + 1 << _LOT_BITS) + int(self._random.integers(1 << _LOT_BITS))

@@ -1,4 +1,4 @@
-"""What a coordinator says: grants and refusals to robots, and joint steps for the bag (thesis Definition 1)."""
+"""Messages from a coordinator: grants and refusals for robots, and joint steps for the bag (thesis Definition 1)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Refusal(NamedTuple):
     """Reason of a refusal.
 
     Attributes:
-        kind: Two or three words, used as the key of a counter.
-        reason: Sentence for the robot's log.
+        kind: Short reason, used as a counter key.
+        reason: Full reason for the robot's log.
     """
 
     kind: str
@@ -36,12 +36,12 @@ NUMBER_LEAPS = Refusal("request number leaps", "request_id grows by one per requ
 
 
 def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: float) -> Refusal | None:
-    """Return why a request must not reach the policy, or None.
+    """Return the refusal for a request that must not reach the policy, or None.
 
     Args:
         request: Request of the agent.
         agent: Options and observation size of the agent.
-        epoch: Epoch of the coordinator, 0 while it listens.
+        epoch: Epoch of the coordinator; 0 while listening.
         age: Age of the observation [s].
         oldest: Maximum age of an observation [s].
     """
@@ -88,7 +88,7 @@ def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: str, n
 
 
 def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now: ClockReading) -> Grant:
-    """Return the refusal of a request."""
+    """Return the message that refuses a request."""
     return Grant(
         stamp=now.stamp,
         agent=request.agent,
@@ -106,12 +106,12 @@ class EpisodeRecorder:
     """Numbers the decisions of an episode and sums the reward between them.
 
     Args:
-        now: Time at which it begins [s].
+        now: Start time [s].
         time_step: Duration of a low-level step [s].
         discount: Discount factor gamma of a low-level step.
 
     Attributes:
-        open: Whether an episode has begun and is not over.
+        open: Whether an episode is in progress.
     """
 
     def __init__(self, now: float, time_step: float, discount: float) -> None:
@@ -120,11 +120,11 @@ class EpisodeRecorder:
         self.open = False
 
     def credit(self, reward: float, began: float, longest: float) -> bool:
-        """Add the reward of an option that began at some time [s], discounted to the last decision.
+        """Add the reward of an option that started at some time [s], discounted to the last decision.
 
-        Thus the joint rewards of an episode add up to the rewards of its options. A start more than `longest` [s]
-        before that decision is moved there, whatever the robot says. Return False, and add nothing, if the sum
-        overflows.
+        The joint rewards of an episode therefore add up to the rewards of its options. A reported start more than
+        `longest` [s] before that decision is clipped. If the sum would overflow, nothing is added and the method
+        returns False.
         """
         began = max(began, self._decided_at - longest)
         try:
@@ -147,7 +147,7 @@ class EpisodeRecorder:
         terminated: bool = False,
         truncated: bool = False,
     ) -> JointStep:
-        """Return a decision (the question, the options from now on, the policy) or an episode's last step."""
+        """Return the step of a decision (query, options from now on, policy), or an episode's last step."""
         self.open = not (terminated or truncated)
         out = JointStep(
             stamp=now.stamp,

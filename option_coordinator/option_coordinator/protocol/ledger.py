@@ -1,7 +1,7 @@
-"""The state of each robot, as far as a coordinator knows. All times are from the same clock [s].
+"""The state of each robot as known to a coordinator. All times are from the same clock [s].
 
-A robot has a phase, the state of its latest request, and the time at which it was last heard. After a lease of silence
-it is suspect, later lost; it keeps its phase, so that it goes on where it was if it returns.
+A robot has a phase (the state of its latest request) and the time at which it was last heard. After a lease of silence
+it is suspect, later lost; it keeps its phase, so that it can continue if it returns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MOST_UNHEARD = 1000
 
 
 class State(StrEnum):
-    """State of a robot, as far as the coordinator knows."""
+    """State of a robot, as known to the coordinator."""
 
     UNKNOWN = "unknown"  # never heard from
     IDLE = "idle"  # no open request, and no known option
@@ -36,23 +36,25 @@ class RobotState:
 
     Attributes:
         agent: Name of the robot.
-        incarnation: Incarnation of its process, which grows with each start; `NONE` before it is heard.
-        request_id: Number of its latest valid request, 0 for none.
-        grant_id: Number of its latest grant, 0 for none; grows by one with each grant.
-        epoch: Epoch of the coordinator that gave the grant.
-        option: Option that was granted, `NONE` for none.
-        granted_at: Time at which the option began, as far as is known [s], on the clock that options are timed by.
+        incarnation: Incarnation of the robot's process, which increases with each start; `NONE` before the first
+            message.
+        request_id: Number of the latest valid request; 0 for none.
+        grant_id: Number of the latest grant, incremented with each grant; 0 for none.
+        epoch: Epoch of the coordinator that issued the grant.
+        option: Granted option; `NONE` for none.
+        granted_at: Start time of the option, as far as known [s], in task time.
         stamp: Stamp of the grant [s].
-        cancelled: Whether the grant was cancelled, and the robot has not asked again.
+        cancelled: Whether the grant was cancelled and the robot has not sent a new request.
         phase: State of the latest request.
-        last_heard: Time at which it was heard last [s].
-        told_id: Request number in its latest heartbeat, 0 before one.
-        asked_at: Time at which its latest request was first heard [s].
-        claims_since: Time since which it claims without a break to have seen a higher epoch [s], None if it does not.
-        silence: `SUSPECT` or `LOST`, None for a robot that is heard.
-        pending: Request that waits to be decided, None for none.
-        repeat_at: Time at which its grant is sent again while it is not acknowledged [s].
-        done: Whether it has said that its task is over.
+        last_heard: Time of the last message [s].
+        told_id: Request number in the latest heartbeat; 0 before the first.
+        asked_at: Time at which the latest request was first received [s].
+        claims_since: Time since which the robot has continuously claimed to have seen a higher epoch [s]; None if it
+            does not.
+        silence: `SUSPECT` or `LOST`; None for a reachable robot.
+        pending: Request awaiting a decision; None for none.
+        repeat_at: Time at which an unacknowledged grant is sent again [s].
+        done: Whether the robot has reported the end of its task.
     """
 
     agent: str
@@ -76,47 +78,47 @@ class RobotState:
 
     @property
     def state(self) -> State:
-        """Its silence, if any, else its phase."""
+        """The robot's silence state, if any, else its phase."""
         return self.silence or self.phase
 
     @property
     def holds(self) -> bool:
-        """Whether it has an option, acknowledged or not."""
+        """Whether the robot has an option, acknowledged or not."""
         return self.phase is State.RUNNING or self.phase is State.GRANTED
 
     @property
     def runs(self) -> bool:
-        """Whether the others' choices must take its option into account."""
+        """Whether the other robots' choices must take this robot's option into account."""
         return self.holds and self.silence is not State.LOST
 
     def answered(self, request_id: int) -> bool:
-        """Whether a request was granted, whatever happened to the grant."""
+        """Return whether a request was granted, regardless of what happened to the grant."""
         return request_id == self.request_id and self.option != NONE
 
     def is_past(self, incarnation: int) -> bool:
-        """Whether an incarnation is over, so that its messages are late: a lower one, unless the robot is lost.
+        """Return whether an incarnation is over and its messages are late: a lower one, unless the robot is lost.
 
-        Without the exception a robot whose clock was set back would never be heard again.
+        Without the exception, a robot whose clock was set back would be ignored forever.
         """
         return incarnation < self.incarnation and self.silence is not State.LOST
 
     def is_early(self, incarnation: int) -> bool:
-        """Whether it is a new incarnation while the old one is alive, which one corrupt message must not end.
+        """Return whether a new incarnation appears while the old one is alive, possibly due to a corrupt message.
 
         A restarted robot is accepted once its old incarnation has been silent for a lease.
         """
         return self.phase is not State.UNKNOWN and incarnation > self.incarnation and self.silence is None
 
     def leaps(self, request_id: int) -> bool:
-        """Whether a request's number is further ahead than lost requests can explain."""
+        """Return whether a request's number is further ahead than lost requests can explain."""
         known = max(self.request_id, self.told_id)
         return known > 0 and request_id > known + MOST_UNHEARD
 
     def believe_lower(self, request_id: int, now: float, patience: float) -> bool:
-        """Return whether to believe a heartbeat's lower request number, and if so adopt it.
+        """Return whether to trust a heartbeat's lower request number, and if so adopt it.
 
-        A request may overtake a heartbeat. But a robot that still reports a lower number `patience` [s] after a request
-        never sent it: somebody else did, and it would lock the robot out for good.
+        A request may overtake a heartbeat. But if a robot still reports a lower number `patience` [s] after a request,
+        that request was forged, and would lock the robot out permanently.
         """
         if now - self.asked_at <= patience:
             return False
@@ -126,10 +128,10 @@ class RobotState:
         return True
 
     def heard(self, incarnation: int, now: float) -> None:
-        """Record a sign of life; a new incarnation voids the state of the old one.
+        """Record a sign of life; a new incarnation invalidates the state of the old one.
 
         Raises:
-            OptionError: the incarnation is over.
+            OptionError: The incarnation is over.
         """
         if self.is_past(incarnation):
             raise OptionError(f"'{self.agent}': incarnation {incarnation} was replaced by {self.incarnation}")
@@ -143,9 +145,9 @@ class RobotState:
         self.silence = None
 
     def insists(self, higher: bool, incarnation: int, now: float, patience: float) -> bool:
-        """Return whether it has claimed for `patience` [s], without a break, to have seen a higher epoch.
+        """Return whether the robot has continuously claimed for `patience` [s] to have seen a higher epoch.
 
-        Its next heartbeat contradicts a forged claim.
+        A forged claim is contradicted by the robot's next heartbeat.
         """
         if not higher:
             self.claims_since = None
@@ -154,10 +156,10 @@ class RobotState:
         return higher and self.claims_since is not None and now - self.claims_since >= patience
 
     def ask(self, request_id: int, now: float) -> None:
-        """Record that the robot waits for a grant: its last option has ended.
+        """Record that the robot's last option has ended and it is waiting for a grant.
 
         Raises:
-            OptionError: the robot was never heard, or the request is older than its last one.
+            OptionError: The robot was never heard, or the request is older than its last one.
         """
         self._must_be_heard()
         if request_id < self.request_id or self.answered(request_id):
@@ -169,14 +171,14 @@ class RobotState:
         self.phase = State.WAITING
 
     def must_be_told(self, now: float) -> bool:
-        """Whether its unacknowledged grant or its cancellation must be sent (again) at a time [s]."""
+        """Return whether an unacknowledged grant or a cancellation must be sent (again) at a time [s]."""
         return (self.cancelled or self.phase is State.GRANTED) and now >= self.repeat_at
 
     def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
-        """Grant an option that begins now, with its stamp [s].
+        """Grant an option that starts now, with its stamp [s].
 
         Raises:
-            OptionError: the robot is not waiting for an option.
+            OptionError: The robot is not waiting for an option.
         """
         if self.state is not State.WAITING:
             raise OptionError(f"'{self.agent}' is {self.state}: only who waits is granted an option")
@@ -188,7 +190,7 @@ class RobotState:
         """Record that the robot runs its granted option.
 
         Raises:
-            OptionError: the robot has no option.
+            OptionError: The robot has no option.
         """
         if not self.holds:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no grant to acknowledge")
@@ -199,12 +201,12 @@ class RobotState:
 
         Args:
             told: Heartbeat of the robot.
-            since: Time at which the option began [s].
-            stamp: When the option began, by the clock of stamps [s].
+            since: Start time of the option [s].
+            stamp: Start time of the option on the clock of the stamps [s].
             now: Time of the heartbeat [s].
 
         Raises:
-            OptionError: it was never heard, or it has asked again since.
+            OptionError: The robot was never heard, or has sent a new request since.
         """
         self._must_be_heard()
         if told.request_id < self.request_id:
@@ -216,26 +218,26 @@ class RobotState:
         self.phase = State.RUNNING
 
     def cancel(self) -> None:
-        """Cancel the robot's option, which it holds until it asks again, because it may still run.
+        """Cancel the robot's option, which stays reserved until the next request because it may still be running.
 
         Raises:
-            OptionError: the robot has no option.
+            OptionError: The robot has no option.
         """
         if not self.holds:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no option to cancel")
         self.cancelled = True
 
     def end(self) -> None:
-        """Record that the robot neither runs nor wants an option; the answer to its request stays known.
+        """Record that the robot neither runs nor requests an option; the answer to its last request is kept.
 
         Raises:
-            OptionError: it was never heard.
+            OptionError: The robot was never heard.
         """
         self._must_be_heard()
         self.phase = State.IDLE  # a cancelled grant stays cancelled: a repeated request gets that answer again
 
     def fall_silent(self, now: float, lease: float, lost_after: float) -> bool:
-        """Update its silence; return whether it is newly lost. Its request is then dropped: if alive, it asks again."""
+        """Update the silence state; return whether the robot is newly lost. A lost robot's request is dropped."""
         silent = now - self.last_heard
         if self.phase is State.UNKNOWN or self.silence is State.LOST or silent < lease:
             return False

@@ -1,6 +1,6 @@
-"""A robot's client of the coordinator: it asks for options, runs them, and falls back on its own. No ROS, no clock.
+"""A robot's client of the coordinator: requests options, runs them, and falls back on its own. No ROS, no clock.
 
-Whatever the network does, a robot runs one grant per request, obeys the highest epoch it has seen, and runs its safe
+Under any network conditions, a robot runs one grant per request, obeys the highest epoch it has seen, and runs its safe
 option if no grant arrives or an option exceeds its deadline.
 """
 
@@ -31,8 +31,8 @@ class AgentObservation(NamedTuple):
     """Observation of a robot, sent with a request.
 
     Attributes:
-        observation: Numbers that the policy observes (observation_size,).
-        legal: Whether the robot may begin each of its options (K,), empty for all.
+        observation: Observation for the policy (observation_size,).
+        legal: Whether the robot may start each of its options (K,); empty for all.
     """
 
     observation: Observation
@@ -40,11 +40,11 @@ class AgentObservation(NamedTuple):
 
 
 class OptionResult(NamedTuple):
-    """Reward and duration of an option that has ended.
+    """Reward and duration of a completed option.
 
     Attributes:
-        reward: Discounted reward sum_i gamma^i r_i, this robot's part of the team's reward.
-        steps: Number of low-level steps that it took.
+        reward: Discounted reward sum_i gamma^i r_i, this robot's share of the team's reward.
+        steps: Number of low-level steps.
     """
 
     reward: float = 0.0
@@ -52,16 +52,16 @@ class OptionResult(NamedTuple):
 
 
 class OptionExecutor(Protocol):
-    """Runs options; calls `OptionClient.ended` when one has ended by itself."""
+    """Runs options; calls `OptionClient.ended` when one has terminated."""
 
     def observe(self) -> AgentObservation:
         """Return the current observation."""
 
     def begin(self, option: int) -> None:
-        """Begin an option."""
+        """Start an option."""
 
     def leave(self) -> OptionResult:
-        """Stop the running option at once and return its result."""
+        """Stop the running option immediately and return its result."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class ClientTimeouts:
     """Periods and waiting times of a client [s], on a steady clock.
 
     Attributes:
-        heartbeat: Time between two heartbeats; several must fit into a coordinator's lease.
-        repeat: Time between two repetitions of a request.
-        waiting: Time without an answer after which the safe option begins.
+        heartbeat: Heartbeat period; several must fit into a coordinator's lease.
+        repeat: Repetition period of a request.
+        waiting: Time without an answer after which the safe option starts.
     """
 
     heartbeat: float = 0.1
@@ -83,22 +83,22 @@ _WANTING = (AgentState.WAITING, AgentState.FALLBACK)
 
 
 class OptionClient:
-    """Talks to the coordinator for one robot, and starts and stops its options.
+    """Communicates with the coordinator for one robot, and starts and stops its options.
 
     Args:
         name: Name of the robot in its team.
-        options: Number of its options.
+        options: Number of the robot's options.
         executor: Executor of the options.
-        incarnation: Incarnation of its process, which grows with each start.
-        safe_option: Index of the option that runs while no grant comes.
-        timeouts: Periods and waiting times; the defaults unless given.
-        team: Name of its team; if empty, it follows the team of the last grant it took.
+        incarnation: Incarnation of the robot's process, which increases with each start.
+        safe_option: Index of the option to run while no grant arrives.
+        timeouts: Periods and waiting times; the default ones if omitted.
+        team: Name of the team; if empty, that of the last accepted grant.
 
     Attributes:
-        state: State that its heartbeats report.
-        request_id: Number of its latest request.
-        grant: Grant that it carries out, or carried out last; None before the first.
-        finished: Whether its task is over, and the coordinator knows.
+        state: State reported in heartbeats.
+        request_id: Number of the latest request.
+        grant: Current or last grant; None before the first.
+        finished: Whether the task is over and the coordinator has been informed.
         counts: Counters of events, for diagnostics.
     """
 
@@ -129,11 +129,11 @@ class OptionClient:
 
     @property
     def epoch(self) -> int:
-        """Highest epoch of a coordinator that it believes, 0 for none."""
+        """Highest trusted epoch of a coordinator; 0 for none."""
         return self._epochs.highest
 
     def ask(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
-        """Ask for an option, or report that the task is over for this robot."""
+        """Request an option, or report that the task is over for this robot."""
         self._result = result = result or OptionResult()
         self.state, self.finished = AgentState.WAITING, False
         self.request_id += 1
@@ -154,18 +154,18 @@ class OptionClient:
         )
 
     def ended(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
-        """Report that the running option has ended by itself; a fall-back option just ends."""
+        """Report that the running option has terminated; a fall-back option just ends."""
         if self.state is AgentState.RUNNING:
             self.ask(now, result, terminated)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
-        """Adopt the epoch of its team's coordinator; grants of lower epochs are ignored from now on."""
+        """Adopt the epoch of the team's coordinator; grants of lower epochs are ignored from now on."""
         follows = self._team or (self.grant.team if self.grant is not None else None)
         if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
     def on_grant(self, grant: Grant, now: ClockReading) -> None:
-        """Handle an answer; ignore one to an older request or incarnation, or of a lower epoch or another team."""
+        """Handle an answer; ignore one to an older request or incarnation, of a lower epoch or of another team."""
         if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
             return
         if grant.coordinator_epoch < self.epoch:
@@ -191,7 +191,7 @@ class OptionClient:
             self._status_at = now.steady  # the coordinator has not heard that it is carried out
 
     def tick(self, now: ClockReading) -> None:
-        """Advance time: begin the safe option if no grant arrives or an option takes too long."""
+        """Advance time: start the safe option if no grant arrives or an option exceeds its deadline."""
         if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
             self.counts["deadlines"] += 1
             self.ask(now, self._stop())
@@ -201,7 +201,7 @@ class OptionClient:
             self._fall_back()
 
     def due_messages(self, now: ClockReading) -> list[Request | Status]:
-        """Return the messages to send now, in this order."""
+        """Return the messages to send now, in order."""
         out: list[Request | Status] = []
         if self.state in _WANTING and self._request is not None and now.steady >= self._request_at:
             self._request_at = now.steady + self._timeouts.repeat
@@ -231,9 +231,9 @@ class OptionClient:
         self._executor.begin(grant.option)
 
     def _refused(self, now: ClockReading, epoch: int) -> None:
-        """Repeat the request at once if only the epoch was unknown; otherwise make a new one from a new observation.
+        """Repeat the request at once if only the epoch was unknown; otherwise make a new request and observation.
 
-        A request never changes: else the legal options would depend on which copy was answered.
+        A request never changes; otherwise the legal options would depend on which copy was answered.
         """
         self.counts["refused"] += 1
         if self._over:
@@ -250,7 +250,7 @@ class OptionClient:
         self._executor.begin(self._safe)
 
     def _stop(self) -> OptionResult:
-        """Stop the running option; the reward of an ungranted safe option does not count."""
+        """Stop the running option; the reward of a safe option without a grant does not count."""
         if self.state not in (AgentState.RUNNING, AgentState.FALLBACK):
             return OptionResult()
         result = self._executor.leave()

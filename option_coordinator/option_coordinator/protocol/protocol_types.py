@@ -1,9 +1,9 @@
-"""The messages between robots and coordinator, field by field as in ctrl_rl_msgs, without ROS. Stamps are in seconds.
+"""Messages between robots and coordinator, with the fields of ctrl_rl_msgs but without ROS. Stamps are in seconds.
 
-`checks_of` returns the checks of a type by field; each message passes them once, where it is converted. What depends on
-a team (sizes, names, options, epochs, order) is checked by the coordinator and the clients.
+`checks_of` returns the checks of a type by field; each message is checked once, on conversion. Team-dependent checks
+(sizes, names, options, epochs, order) are done by the coordinator and the clients.
 
-An annotation holds a field's range; the message files say what each field means.
+Annotations give the range of each field; the message files document its meaning.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from option_coordinator.errors import OptionError
 from option_coordinator.options.options import NONE, Mask, Observation
 
 LARGEST_COUNT = (1 << 62) - 1
-"""Largest epoch, request or grant number. Counting from 0 never reaches it."""
+"""Maximum epoch, request or grant number, never reached by counting from 0."""
 LARGEST_LIFE = (1 << 63) - 1
 LARGEST_REWARD = 1e9
 LONGEST = 1e7
-"""Longest time that an option may take [s]."""
+"""Maximum duration of an option [s]."""
 LONGEST_NAME = 255
 MOST_NUMBERS = 65536
 MOST_OPTIONS = 10000
 LARGEST_REQUEST = 4 * MOST_NUMBERS + MOST_OPTIONS + 2 * LONGEST_NAME + 1024
-"""Largest serialised OptionRequest [bytes]."""
+"""Maximum size of a serialised OptionRequest [bytes]."""
 
 
 class MessageError(OptionError):
-    """A message holds a value outside the ranges of its message file.
+    """A message has a value outside the range given in its message file.
 
     Attributes:
-        kind: Short reason without any of the message's content, used as the key of a counter.
+        kind: Short reason without message content, used as a counter key.
     """
 
     def __init__(self, kind: str) -> None:
@@ -46,12 +46,12 @@ class MessageError(OptionError):
 
 
 class Between(NamedTuple):
-    """A number in a closed interval; NaN lies in none.
+    """Check for a number in a closed interval; NaN is never inside.
 
     Attributes:
         minimum: Lower end of the interval.
         maximum: Upper end of the interval.
-        or_not_finite: Whether to pass numbers that are not finite, which the coordinator refuses with a reason.
+        or_not_finite: Whether to accept non-finite numbers, which the coordinator then refuses with a reason.
     """
 
     minimum: float
@@ -59,13 +59,13 @@ class Between(NamedTuple):
     or_not_finite: bool = False
 
     def __call__(self, value: float, field: str, /) -> None:
-        """Raise a MessageError that names the field, if the number is out of range."""
+        """Raise MessageError, naming the field, if the number is out of range."""
         if not self.minimum <= value <= self.maximum and not (self.or_not_finite and not math.isfinite(value)):
             raise MessageError(f"{field} out of range")
 
 
 class AtMost(NamedTuple):
-    """A text or array with a maximum length; errors use `label`, or the field's name."""
+    """Check for a text or array of limited length; errors use `label`, or the field's name."""
 
     length: int
     label: str = ""
@@ -77,7 +77,7 @@ class AtMost(NamedTuple):
 
 
 def constants(kind: type[IntEnum]) -> Between:
-    """Return the check that a number is a constant of an enumeration without gaps."""
+    """Return a check that a number is a constant of an enumeration without gaps."""
     return Between(min(kind), max(kind))
 
 
@@ -90,7 +90,7 @@ OptionReward = Annotated[float, Between(-LARGEST_REWARD, LARGEST_REWARD, or_not_
 
 
 def checks_of(kind: type) -> dict[str, Between | AtMost]:
-    """Return the checks of a type's fields, by the name of the field."""
+    """Return the checks of a type's fields, by field name."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
 
@@ -146,7 +146,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Grant:
-    """An OptionGrant: the answer to a request; its option is `NONE` where nothing is granted."""
+    """An OptionGrant: the answer to a request; the option is `NONE` if nothing is granted."""
 
     stamp: float
     agent: Name
@@ -164,7 +164,7 @@ class Grant:
 
 @dataclass(frozen=True)
 class CoordinatorHeartbeat:
-    """A CoordinatorStatus: a coordinator decides in an epoch."""
+    """A CoordinatorStatus: announces the coordinator that decides in an epoch."""
 
     coordinator_epoch: CountFrom1
     team: Name = ""
@@ -172,7 +172,7 @@ class CoordinatorHeartbeat:
 
 @dataclass(frozen=True, eq=False)
 class JointStep:
-    """A JointOptionStep: legal (N, K) as in `Decision`, observations of all robots one after the other."""
+    """A JointOptionStep: legal options (N, K) as in `Decision`, and the concatenated observations of all robots."""
 
     stamp: float
     coordinator_epoch: int
@@ -191,18 +191,18 @@ class JointStep:
 
 
 def same_team(one: str, other: str) -> bool:
-    """Return whether two messages may belong to one team; messages of old peers, without a team, match any."""
+    """Return whether two messages may belong to the same team; messages without a team, from older peers, match any."""
     return one == other or not one or not other
 
 
 @dataclass(frozen=True)
 class Answers:
-    """The messages that a coordinator sends now, in this order.
+    """Messages for a coordinator to send now, in this order.
 
     Attributes:
         grants: Answers to robots.
         steps: Joint steps, for the bag.
-        heartbeat: Heartbeat for robots and other coordinators; None where none is due.
+        heartbeat: Heartbeat for robots and other coordinators; None if not due.
     """
 
     grants: list[Grant] = field(default_factory=list)

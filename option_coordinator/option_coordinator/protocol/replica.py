@@ -1,8 +1,8 @@
-"""A coordinator as one of several replicas: it hears robots and other coordinators, and knows whether it leads.
+"""A coordinator as one of several replicas: receives messages from robots and coordinators, and knows if it leads.
 
-A replica that has not run for half a lease (frozen, or on a busy machine) first keeps silent to read waiting messages:
-another one may have taken over. After most of a lease its epoch is over: it listens for a lease like any other replica,
-and decides again only in a new epoch. No ROS, no clock.
+A replica that has not run for half a lease (frozen, or on a busy machine) first stays silent to read pending messages,
+because another one may have taken over. After most of a lease its epoch is over: it listens for a lease like any other
+replica, and decides again only in a new epoch. No ROS, no clock.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from option_coordinator.protocol.protocol_types import Answers, CoordinatorHeart
 from option_coordinator.protocol.team import CoordinatorTimeouts
 
 LATE = 0.5
-"""Time without a tick after which a coordinator listens before it goes on [leases]."""
+"""Time without a tick after which a coordinator listens before continuing [leases]."""
 _QUIET = 0.4
-"""Time for which it then listens [leases]."""
+"""Duration of that listening [leases]."""
 _REPLACED = 0.8
-"""Time without a tick after which another replica may have taken over [leases]; the last heartbeat is older."""
+"""Time without a tick after which another replica may have taken over [leases], since the last heartbeat is older."""
 _FROZEN = 8.0
-"""Time without a tick after which the knowledge about the robots is too old to start from [leases]."""
+"""Time without a tick after which the knowledge about the robots is too old to resume from [leases]."""
 
 
 class Replica:
-    """Listens to the robots and other coordinators of its team, and knows whether it decides.
+    """Receives the messages of its team's robots and coordinators, and determines whether it decides.
 
     Args:
         robots: Names of the team's robots, in the policy's order.
         timeouts: Waiting times of the coordinator.
-        now: Time at which it begins to listen.
-        seed: Seed of its epochs, as for `Election`.
+        now: Time at which listening starts.
+        seed: Seed of the epochs, as for `Election`.
         team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
 
     Attributes:
@@ -56,7 +56,7 @@ class Replica:
 
     @property
     def epoch(self) -> int:
-        """Epoch of this coordinator, 0 while it listens."""
+        """Epoch of this coordinator; 0 while listening."""
         return self._election.epoch
 
     @property
@@ -80,7 +80,7 @@ class Replica:
         self._forget(now)
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> Answers:
-        """Handle the heartbeat of a coordinator, perhaps its own; the answer is empty."""
+        """Handle the heartbeat of a coordinator, possibly its own; the answer is empty."""
         if not same_team(heartbeat.team, self.team):
             self.counts["words of other teams"] += 1
             return Answers()
@@ -90,16 +90,16 @@ class Replica:
         return Answers()
 
     def _forget(self, now: ClockReading) -> None:
-        """Forget who runs what, and begin to listen."""
+        """Forget all grants and start listening."""
         self._began = self._ticked_at = now.steady
         self.ledger = {name: RobotState(name) for name in self._names}
 
     def _knows_enough(self, now: ClockReading) -> bool:
-        """Whether every robot was heard, or had time to be: one that was not may run an option."""
+        """Return whether every robot has been heard or had time to report, since an unheard one may run an option."""
         return not self.unheard or now.steady >= self._began + self._timeouts.lost_after
 
     def _wake(self, now: ClockReading) -> None:
-        """Detect that this coordinator has not run for a while; keep it silent until it has heard what happened."""
+        """Detect that this coordinator has not run for a while; keep it silent until it has caught up."""
         gap = (now.steady - self._ticked_at) / self._timeouts.lease
         if gap <= LATE:
             return
@@ -113,15 +113,15 @@ class Replica:
                 self._step_down(now)
 
     def _decides(self, now: ClockReading) -> bool:
-        """Whether this coordinator decides and is sure that no other one does."""
+        """Return whether this coordinator decides and can be sure that no other one does."""
         self._wake(now)
         return bool(self.epoch) and now.steady >= self._quiet_until
 
     def _hear(self, told: Request | Status, now: ClockReading) -> RobotState | Refusal | None:
-        """Record a sign of life and the epoch that it claims.
+        """Record a sign of life and the epoch claimed in it.
 
         Returns:
-            The robot's state; if the message does not count, a refusal for a robot of this team, or None.
+            The robot's state; or, if the message is ignored, a refusal for a robot of this team, or None.
         """
         if not same_team(told.team, self.team):
             self.counts["messages of other teams"] += 1
@@ -148,7 +148,8 @@ class Replica:
     def _on_claim(self, entry: RobotState, told: Request | Status, now: ClockReading) -> None:
         """Record an epoch that a robot claims to have seen.
 
-        A decider believes it once the robot has claimed it for a lease; one that may have been replaced, at once.
+        A decider accepts the epoch once the robot has claimed it for a lease; a coordinator that may have been replaced
+        accepts it at once.
         """
         epoch, sure = told.coordinator_epoch, self.epoch and now.steady >= self._quiet_until
         if sure and not entry.insists(epoch > self.epoch, told.incarnation, now.steady, self._timeouts.lease):
@@ -157,12 +158,12 @@ class Replica:
             self._step_down(now)
 
     def _step_down(self, now: ClockReading) -> None:
-        """Leave the team to another coordinator and forget all grants: they may never have been obeyed."""
+        """Hand the team over to another coordinator and forget all grants, which may never have been obeyed."""
         self.counts["stepped down"] += 1
         self._forget(now)
 
     def _quiet(self, now: ClockReading) -> bool:
-        """Record a tick; return whether to keep silent, because heartbeats may still wait to be read."""
+        """Record a tick; return whether to stay silent, because heartbeats may still be unread."""
         self._wake(now)
         self._ticked_at = now.steady
         return now.steady < self._quiet_until

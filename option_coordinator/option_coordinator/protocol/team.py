@@ -1,4 +1,4 @@
-"""A team as its coordinator knows it: robots, waiting times, and the query of a decision."""
+"""A team as known to its coordinator: robots, waiting times, and the query of a decision."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from option_coordinator.protocol.protocol_types import LONGEST, Request
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What a coordinator must know about a robot.
+    """Coordinator settings of one robot.
 
     Attributes:
         agent: Name, options and observation size.
-        durations: Longest time that each of its options may take [s].
+        durations: Maximum duration of each option [s].
         safe_option: Index of the option to grant if the policy fails.
     """
 
@@ -42,12 +42,12 @@ class CoordinatorTimeouts:
     """Waiting times of a coordinator [s].
 
     Attributes:
-        batch_window: Time that the first pending request waits for others.
-        lease: Silence after which a robot is suspect; a coordinator listens for as long before it decides.
+        batch_window: Time for which the first pending request waits for others.
+        lease: Silence after which a robot is suspect; also the listening time before a coordinator decides.
         lost_after: Silence after which a robot is lost.
-        repeat: Time between repetitions of an unacknowledged grant.
-        stale: Age at which an observation is refused.
-        policy_limit: Time after which a policy has failed.
+        repeat: Repetition period of an unacknowledged grant.
+        stale: Age above which an observation is refused.
+        policy_limit: Time limit of a policy query.
         time_step: Duration of a low-level step, the unit of reported durations.
     """
 
@@ -61,7 +61,7 @@ class CoordinatorTimeouts:
 
 
 class TeamQuery:
-    """Keeps each robot's latest observation and builds a decision's query from them.
+    """Keeps each robot's latest observation and builds policy queries from them.
 
     Args:
         robots: Robots, in the policy's order.
@@ -81,11 +81,11 @@ class TeamQuery:
         self._observed = np.zeros(ends[-1], np.float32)
 
     def observe(self, request: Request) -> None:
-        """Store the observation of a checked request."""
+        """Store the observation of a validated request."""
         self._observed[self._places[request.agent]] = request.observation
 
     def of(self, requests: Mapping[str, Request], ledger: Mapping[str, RobotState]) -> PolicyQuery:
-        """Return the query in which the robots in `requests` choose while the others run what the ledger says."""
+        """Return the query in which the robots in `requests` choose, and the others run the options in the ledger."""
         legal, choosing = self._options.copy(), np.zeros(len(self.index), bool)
         for name, request in requests.items():
             index = self.index[name]

@@ -13,12 +13,12 @@ from option_coordinator.policies.policy_query import PolicyFn
 from option_coordinator.protocol.team import RobotSpec
 
 SCRIPTED = ("spread", "uniform")
-"""Their names."""
+"""Names of the scripted policies."""
 _Candidates = Callable[[int, JointOptions], JointOptions]
 
 
 def uniform_policy(generator: np.random.Generator) -> PolicyFn:
-    """Return a policy that draws each robot's option from the legal ones."""
+    """Return a policy that samples each robot's option uniformly from the legal ones."""
 
     def chooses(choice: PolicyQuery) -> tuple[JointOptions, float]:
         return _each(choice, generator, lambda agent, _: np.flatnonzero(choice.legal[agent]))
@@ -27,12 +27,12 @@ def uniform_policy(generator: np.random.Generator) -> PolicyFn:
 
 
 def spread_policy(robots: Sequence[RobotSpec], generator: np.random.Generator, shared: Sequence[str] = ()) -> PolicyFn:
-    """Return a policy that draws from the legal options whose names no other robot runs, else the safe option.
+    """Return a policy that samples from the legal options not run by other robots, else takes the safe option.
 
     Args:
         robots: Robots, in the policy's order.
         generator: Random generator of the draws.
-        shared: Names of options that several robots may run at a time.
+        shared: Names of options that several robots may run simultaneously.
     """
     names = [robot.agent.options for robot in robots]
     safe = [robot.safe_option for robot in robots]
@@ -53,7 +53,7 @@ def spread_policy(robots: Sequence[RobotSpec], generator: np.random.Generator, s
 
 
 def _each(choice: PolicyQuery, generator: np.random.Generator, candidates: _Candidates) -> tuple[JointOptions, float]:
-    """Draw for one robot after the other; each knows the choices before."""
+    """Sample for one robot after the other, each knowing the previous choices."""
     options, log_probability = choice.running.copy(), 0.0
     for agent in np.flatnonzero(choice.choosing):
         some = candidates(int(agent), options)

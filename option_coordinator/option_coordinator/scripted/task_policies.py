@@ -1,4 +1,4 @@
-"""Hand-written policies: baselines for learning, and optima for tests."""
+"""Hand-written policies: baselines for learning, and optimal policies for tests."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from option_coordinator.teams.team_file import TeamFile
 
 
 class DecisionPolicy(Protocol):
-    """Chooses options for the agents that are ready."""
+    """Chooses options for the ready agents."""
 
     def __call__(self, decision: Decision, /) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
 
 
 class RandomPolicy:
-    """Any legal option, all equally likely."""
+    """Chooses uniformly among the legal options."""
 
     def __init__(self, seed: int = 0) -> None:
         self._random = np.random.default_rng(seed)
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         return {name: int(self._random.choice(np.flatnonzero(mask))) for name, mask in decision.masks.items()}
 
 
 class ToolDeliveryScript:
-    """The optimum of Tool Delivery: 40 steps, a return of 260."""
+    """The optimal policy of Tool Delivery: 40 steps, a return of 260."""
 
     PLAN = (SEARCH, PASS_TO_1, SEARCH + 1, PASS_TO_0, SEARCH + 2, WAIT, PASS_TO_1)
-    """Options of the Fetchbot: turtlebot 1, which is nearer, brings the first tool and is back in time for the last."""
+    """Options of the Fetchbot: the nearer turtlebot 1 delivers the first tool and is back in time for the last."""
 
     def __init__(self, task: ToolDelivery) -> None:
         self._fetchbot = task.fetchbot.name
@@ -55,7 +55,7 @@ class ToolDeliveryScript:
         self._done = 0
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         if not decision.rewards:
             self._done = 0
         return {name: self._choose(name, decision) for name in decision.ready}
@@ -69,13 +69,13 @@ class ToolDeliveryScript:
 
 
 class JarCycle:
-    """A fixed cycle: the vehicle fills jar after jar and the drone inspects jar after jar, whatever they hold."""
+    """A fixed cycle: the vehicle fills and the drone inspects one jar after the other, regardless of the levels."""
 
     def __init__(self) -> None:
         self._next: dict[str, int] = {}
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         if not decision.rewards:
             self._next = {}
         out = {}
@@ -88,14 +88,14 @@ class JarCycle:
 
 
 class GreedyFiller:
-    """Knows every level: the vehicle fills the jar with the largest gain per distance."""
+    """Knows every level: the vehicle fills the jar with the highest gain per distance."""
 
     def __init__(self, simulation: WaterFillingSimulation) -> None:
         self._simulation = simulation
         self._cycle = JarCycle()
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         out = self._cycle(decision)
         vehicle = decision.agents[0]
         if vehicle.name in out:
@@ -108,18 +108,18 @@ class GreedyFiller:
 
 
 class SpreadTeam:
-    """A delivery team's scripted policy, as its coordinator has it: go to a station that no other robot heads for."""
+    """The coordinator's scripted policy for a delivery team: go to a station that no other robot is heading for."""
 
     def __init__(self, team: TeamFile, seed: int = 0) -> None:
         self._chooses = spread_policy(team.coordinated, np.random.default_rng(seed), team.shared)
 
     def __call__(self, decision: Decision) -> dict[str, int]:
-        """Return an option for each agent that is ready."""
+        """Return an option for each ready agent."""
         return decision.named(self._chooses(decision)[0])
 
 
 def jar_trips(agent: Agent) -> list[int]:
-    """Return an agent's options that lead to a jar, in the order of the jars; those that fill it, if there are any."""
+    """Return an agent's options that lead to each jar, in jar order; preferably those that also fill it."""
     fill = [index for index, name in enumerate(agent.options) if name.startswith("NavToFill")]
     return fill or [index for index, name in enumerate(agent.options) if name.startswith("NavTo:")]
 
@@ -133,7 +133,7 @@ def scripted_policy(environment: OptionEnvironment) -> DecisionPolicy:
 
 
 def references(environment: OptionEnvironment) -> dict[str, DecisionPolicy]:
-    """Return reference policies by name: the hand-written one, and one that knows the hidden state."""
+    """Return reference policies by name: the hand-written one, and one with access to the hidden state."""
     simulation = environment.simulation
     omniscient = {"omniscient": GreedyFiller(simulation)} if isinstance(simulation, WaterFillingSimulation) else {}
     return {"scripted": scripted_policy(environment), **omniscient}

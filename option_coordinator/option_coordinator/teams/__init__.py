@@ -1,4 +1,4 @@
-"""Team files, and the teams that come with the package."""
+"""Team files, and the teams shipped with the package."""
 
 import lazy_loader as lazy
 

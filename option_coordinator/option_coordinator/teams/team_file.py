@@ -1,7 +1,7 @@
-"""Team files: YAML descriptions, shared by coordinator and robots, of a team that drives between stations.
+"""Team files in YAML, shared by coordinator and robots, which describe a team that drives between stations.
 
-Each robot fetches parcels from shelves, brings them to desks and goes home after its last one. All robots have the same
-options: to wait, or to drive to a station and work there.
+Each robot fetches parcels from shelves, brings them to desks and returns home after the last one. All robots have the
+same options: wait, or drive to a station and work there.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from option_coordinator.protocol.team import RobotSpec
 FOLDER = FilePath(__file__).parent
 KIND = "team_delivery"
 OBSERVED = ("x", "y", "carries", "deliveries")
-"""Observation of a robot: position [m], whether it carries a parcel, number of parcels delivered."""
+"""Observation of a robot: position [m], whether it carries a parcel, and the number of parcels delivered."""
 
 
 class Work(StrEnum):
@@ -42,10 +42,10 @@ class NavigationOption(Part):
     """One option: its work, its time limit, and its position, if it has one.
 
     Attributes:
-        work: Work done at its end; `wait` stands still, `rest` leads home.
-        longest: Maximum time that it may take [s].
-        station: Position that it leads to [m]; None for `wait` and `rest`.
-        lasts: Duration of the work at its end [s].
+        work: Work at the end of the option; `wait` stands still, `rest` leads home.
+        longest: Maximum duration of the option [s].
+        station: Goal position [m]; None for `wait` and `rest`.
+        lasts: Duration of the work [s].
     """
 
     work: Annotated[Work, Strict(False)]
@@ -61,24 +61,24 @@ class NavigationOption(Part):
 
 
 class TeamRobot(Part):
-    """One robot, with the position where it rests [m]."""
+    """One robot with its home position [m]."""
 
     home: Point
 
 
 class TeamRewards(Part):
-    """Rewards that each robot adds to the team's."""
+    """Rewards that each robot contributes to the team's."""
 
     step: Reward
     delivery: Reward
 
 
 class Learning(Part):
-    """Settings for learning a policy of the team.
+    """Settings for learning a team policy.
 
     Attributes:
-        episode: Longest duration of an episode [s].
-        training_samples: Number of low-level steps to learn from.
+        episode: Maximum duration of an episode [s].
+        training_samples: Number of low-level steps of training.
         batch_samples: Number of low-level steps between two updates.
     """
 
@@ -94,14 +94,14 @@ class TeamFile(TaskHeader):
         kind: Kind of task, always "team_delivery".
         time_step: Duration of a low-level step, the unit of option durations [s].
         discount: Discount factor gamma of a low-level step.
-        deliveries: Number of deliveries that each robot makes.
-        options: Options of every robot, by name and in order.
-        safe_option: Name of the option that a robot runs while no grant comes.
-        robots: Robots by name, which is also the namespace of their topics.
+        deliveries: Number of deliveries per robot.
+        options: Options of every robot by name, in order.
+        safe_option: Name of the option that a robot runs while no grant arrives.
+        robots: Robots by name, which is also their topic namespace.
         rewards: Rewards of a low-level step and of a delivery.
-        room: Navigation task that they work in: the name of one that comes with the package or the suite, or a .yaml
-            file, whose path counts from the team file's folder.
-        learning: Settings of learning a policy.
+        room: Navigation task used as the room: the name of one shipped with the package or the suite, or a .yaml file,
+            relative to the team file's folder.
+        learning: Settings for learning a policy.
     """
 
     kind: Literal["team_delivery"]
@@ -127,7 +127,7 @@ class TeamFile(TaskHeader):
 
     @property
     def room_file(self) -> str:
-        """Name or path of the room, as `ctrl_rl_core.tasks.task.load_task` takes it."""
+        """Name or path of the room, as accepted by `ctrl_rl_core.tasks.task.load_task`."""
         return room_file(self.room, self._folder)
 
     @property
@@ -137,37 +137,37 @@ class TeamFile(TaskHeader):
 
     @property
     def shared(self) -> tuple[str, ...]:
-        """Options that any number of robots may run at a time: they lead to no station."""
+        """Options that any number of robots may run simultaneously, because they lead to no station."""
         return tuple(name for name, option in self.options.items() if option.station is None)
 
     @property
     def training_samples(self) -> int:
-        """Number of low-level steps to learn from."""
+        """Number of low-level steps of training."""
         return self.learning.training_samples
 
     @property
     def batch_samples(self) -> int:
-        """Low-level steps between two updates."""
+        """Number of low-level steps between two updates."""
         return self.learning.batch_samples
 
     @cached_property
     def coordinated(self) -> tuple[RobotSpec, ...]:
-        """Robots with the settings that a coordinator needs."""
+        """Robots with their coordinator settings."""
         durations = tuple(option.longest for option in self.options.values())
         safe = self.option_names.index(self.safe_option)
         return tuple(RobotSpec(Agent(name, self.option_names, len(OBSERVED)), durations, safe) for name in self.robots)
 
 
 def team_names() -> list[str]:
-    """Return the shipped teams."""
+    """Return the names of the shipped teams."""
     return sorted(file.stem for file in FOLDER.glob("*_team.yaml"))
 
 
 def team_file(name_or_path: str) -> FilePath:
-    """Return the file of a shipped team, or the path itself.
+    """Return the file of a shipped team, or the path unchanged.
 
     Raises:
-        OptionError: There is no such team.
+        OptionError: The team does not exist.
     """
     path = FilePath(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
@@ -181,19 +181,19 @@ def team_file(name_or_path: str) -> FilePath:
 
 
 def room_names() -> list[str]:
-    """Return the shipped rooms."""
+    """Return the names of the shipped rooms."""
     return sorted(file.stem for file in FOLDER.glob("*_room.yaml"))
 
 
 def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
-    """Return name or path of a room as `ctrl_rl_core.tasks.task.load_task` takes it.
+    """Return name or path of a room, as accepted by `ctrl_rl_core.tasks.task.load_task`.
 
     Args:
-        name_or_path: the name of a room of the package or of a task of the suite, or a .yaml file.
-        folder: the folder that a relative path counts from; the working directory if None.
+        name_or_path: Name of a room of the package or of a task of the suite, or a .yaml file.
+        folder: Base folder of a relative path; the working directory if None.
 
     Raises:
-        OptionError: There is no such room.
+        OptionError: The room does not exist.
     """
     path = FilePath(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
@@ -207,14 +207,14 @@ def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
 
 
 def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
-    """Read the room that a team works in.
+    """Load the room of a team.
 
     Args:
-        team: Team whose room is read.
-        name_or_path: another room than the team's own; empty for the team's own.
+        team: Team that works in the room.
+        name_or_path: Room to use in place of the team's own; empty for the team's own.
 
     Raises:
-        CtrlRlError: There is no such room, or the team's homes and stations are not in its free space.
+        CtrlRlError: The room does not exist, or the team's homes and stations are not in its free space.
     """
     room = load_navigation_task(room_file(name_or_path) if name_or_path else team.room_file)
     check_places(team, room)
@@ -222,10 +222,10 @@ def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
 
 
 def check_places(team: TeamFile, room: NavigationTask) -> None:
-    """Check that a robot can stand at every home and station, and that all can be at home at once.
+    """Check that every home and station is free for a robot, and that all robots fit at their homes together.
 
     Raises:
-        OptionError: It cannot; the message names the place.
+        OptionError: A home or station is not free; the message names it.
     """
     world, radius = room.build_world(), room.robot.radius
     homes = {f"robots.{name}.home": robot.home for name, robot in team.robots.items()}
@@ -249,7 +249,7 @@ def check_places(team: TeamFile, room: NavigationTask) -> None:
 
 
 def is_team(name_or_path: str) -> bool:
-    """Return whether a name or file is a team's."""
+    """Return whether a name or file denotes a team."""
     path = FilePath(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):
         return name_or_path in team_names()
@@ -261,10 +261,10 @@ def is_team(name_or_path: str) -> bool:
 
 
 def load_team(name_or_path: str) -> TeamFile:
-    """Read a team by name, or from a file, and check it against its room.
+    """Load a team by name or file, and check it against its room.
 
     Raises:
-        OptionError: There is none, or it is invalid; the message names file and key.
+        OptionError: The team does not exist or is invalid; the message names file and key.
     """
     path = team_file(name_or_path)
     with raise_as(OptionError, path):

@@ -1,4 +1,4 @@
-"""Learning joint policies: what imports torch."""
+"""Learning of joint policies; requires torch."""
 
 import lazy_loader as lazy
 

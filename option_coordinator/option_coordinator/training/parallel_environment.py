@@ -1,9 +1,9 @@
-"""A PettingZoo Parallel environment of joint options, for other learning libraries.
+"""A PettingZoo Parallel environment of joint options, for third-party learning libraries.
 
 environment = ParallelOptions(make_environment("tool_delivery"))
 
-PettingZoo wants an action from every agent at every step. A step here is an option step: the action mask of an agent
-that still runs an option allows only that option.
+PettingZoo expects an action from every agent in every step. A step here is an option step: the action mask of an agent
+that is still running an option allows only that option.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ AgentDict = dict[str, NDArray[Any]]
 
 
 class ParallelOptions(ParallelEnv[str, AgentDict, int]):
-    """Every agent observes a dictionary of `observation` and `action_mask`; all get the joint reward r_kappa.
+    """Every agent observes a dictionary of `observation` and `action_mask`, and receives the joint reward r_kappa.
 
     Infos of each agent: `duration` (tau, low-level steps), `discount` (gamma^tau) and `ready`.
 
@@ -63,7 +63,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
         seed: int | None = None,
         options: dict[str, Any] | None = None,  # noqa: ARG002 - PettingZoo's signature
     ) -> tuple[dict[str, AgentDict], dict[str, dict[str, Any]]]:
-        """Begin an episode."""
+        """Start an episode."""
         decision = self.environment.reset(seed)
         self.agents = list(self.possible_agents)
         self._decision = decision
@@ -72,10 +72,10 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
     def step(
         self, actions: dict[str, int]
     ) -> tuple[dict[str, AgentDict], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Start the options of the agents that are ready; the others must continue theirs.
+        """Start the options of the ready agents; the others must continue theirs.
 
         Raises:
-            OptionError: as `OptionEnvironment.step`, or an action that the mask forbids.
+            OptionError: As for `OptionEnvironment.step`, or the mask forbids an action.
         """
         if self._decision is None:
             raise OptionError("there is no episode under way: call reset()")
@@ -96,7 +96,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
         )
 
     def render(self) -> None:
-        """Do nothing: `option_coordinator.plots` draws pictures from the environment's trace."""
+        """Do nothing; `option_coordinator.plots` draws the environment's trace."""
 
     def _seen(self, decision: Decision) -> dict[str, AgentDict]:
         out: dict[str, AgentDict] = {}

@@ -1,4 +1,4 @@
-"""Pictures of learning joint options: the curves of Fig. 5.4."""
+"""Figures on learning joint options: the curves of Fig. 5.4."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pydantic import Field
 from option_coordinator.training.experiments.methods import METHODS
 
 _FIRST = ("async", "async_autoregressive", "sync_wait", "mac_dqn", "end2end")
-"""Methods to draw if there are more than a picture holds; the tables have all."""
+"""Methods to draw if there are too many for one figure; the tables contain all."""
 
 
 class Learning(Figures):
-    """What curves are drawn from, see `results.collect`."""
+    """Data of the curves, see `results.collect`."""
 
     metric: Name
     scripted: float
@@ -26,7 +26,7 @@ class Learning(Figures):
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw the return of episodes over environment steps while learning."""
+    """Draw the return of episodes over environment steps during training."""
     # Methods with larger budgets would squeeze the others' curves.
     there = [name for name in METHODS if name in figures["curves"] and not METHODS[name].budget]
     chosen = there if len(there) <= MOST_LINES else [name for name in _FIRST if name in there]

@@ -20,16 +20,16 @@ from option_coordinator.teams.team_file import TeamFile, is_team, load_team, tea
 
 OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]
-"""Level of choice: the published options, those of thesis Table 5.1, or a low-level action at each step."""
+"""Level of choice: the published options, those of thesis Table 5.1, or one low-level action per step."""
 DISCOUNT = 0.99
-"""Discount gamma of a low-level step (published settings); a team has its own."""
+"""Discount gamma of a low-level step (published settings); teams define their own."""
 
 
 def load_option_task(name_or_path: str) -> OptionTask:
     """Load a task with options, or a team.
 
     Raises:
-        CtrlRlError: There is no such task, or it has no options.
+        CtrlRlError: The task does not exist or has no options.
     """
     if is_team(name_or_path):
         return load_team(name_or_path)
@@ -45,10 +45,10 @@ def load_option_task(name_or_path: str) -> OptionTask:
 
 
 def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "features") -> Simulation:
-    """Return a task's low-level world, driven by options or by low-level actions ("end2end").
+    """Create a task's low-level simulation, driven by options or by low-level actions ("end2end").
 
     Raises:
-        OptionError: The task has no images, or no such options.
+        OptionError: The task has no image observation, or no such options.
     """
     if isinstance(task, WaterFilling):
         options: OptionSet = "published" if level == "options" else level
@@ -73,10 +73,10 @@ def make_environment(
     film: bool = False,
     drop: float = 0.0,
 ) -> OptionEnvironment:
-    """Return a task as an event-driven environment, with the task's discount if none is given.
+    """Create the event-driven environment of a task; the discount defaults to the task's own.
 
     Raises:
-        CtrlRlError: As in `load_option_task` and `make_simulation`.
+        CtrlRlError: As for `load_option_task` and `make_simulation`.
     """
     task = load_option_task(name_or_path)
     discount = discount_of(task) if discount is None else discount
@@ -84,5 +84,5 @@ def make_environment(
 
 
 def discount_of(task: OptionTask) -> float:
-    """Return gamma of a low-level step."""
+    """Return the discount gamma of a low-level step."""
     return task.discount if isinstance(task, TeamFile) else DISCOUNT

@@ -1,7 +1,7 @@
 """A light simulation of a delivery team for learning: the robots' own `Delivery` and `ReactivePlanner`, no physics.
 
-Robots are discs that move exactly as commanded. Each sees the outlines of walls, obstacles and other robots, like a
-lidar.
+Robots are discs that move exactly as commanded. Each one observes the outlines of walls, obstacles and other robots,
+like a lidar.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _RADIUS = 0.1
 
 
 class TeamDeliverySimulation:
-    """The world of a team file. A robot that has finished its work stays at home; that is its only option."""
+    """The world of a team file. A robot that has finished its work stays at home, its only remaining option."""
 
     observes_while_running = False
-    """As with real robots, a request has its robot's observation."""
+    """True, because real robots also send their observation with each request."""
 
     def __init__(self, team: TeamFile) -> None:
         self.team = team
@@ -45,7 +45,7 @@ class TeamDeliverySimulation:
 
     @property
     def room(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Extent of the walls and obstacles in x and in y [m]."""
+        """Extent of walls and obstacles in x and in y [m]."""
         (left, bottom), (right, top) = self._outlines.min(axis=0), self._outlines.max(axis=0)
         return (float(left), float(right)), (float(bottom), float(top))
 
@@ -56,7 +56,7 @@ class TeamDeliverySimulation:
         return stations | {f"home of {name}": robot.home for name, robot in self.team.robots.items()}
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode at the room's start."""
+        """Start an episode at the room's start state."""
         self._poses = np.array(
             draw_starts(self._task, self._system, self._world, len(self.agents), self._task.robot.radius, generator)
         )
@@ -93,13 +93,13 @@ class TeamDeliverySimulation:
         return self._rest.copy() if self._at_home[agent] else self._work[agent].see(self._poses[agent]).legal
 
     def scene(self) -> Scene:
-        """Return the scene for a picture."""
+        """Return the scene to draw."""
         places = {agent.name: (float(x), float(y)) for agent, (x, y, _) in zip(self.agents, self._poses, strict=True)}
         carry = [agent.name for agent, work in zip(self.agents, self._work, strict=True) if work.carries]
         return Scene(places, f"{self._delivered} parcels delivered; {', '.join(carry) or 'nobody'} carries one")
 
     def figures(self) -> dict[str, Any]:
-        """Return the duration and the number of delivered parcels."""
+        """Return the duration and the number of parcels delivered."""
         return {"makespan": self._now, "deliveries": self._delivered}
 
     @property

@@ -1,6 +1,6 @@
 """Tool Delivery (thesis 5.3.1): a Fetchbot and two Turtlebots bring a human the right tools in time.
 
-Within a step the Turtlebots act first, then the Fetchbot; then success is checked and the human's clock moves.
+In each step the Turtlebots act first, then the Fetchbot; then success is checked and the human's clock advances.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from option_coordinator.options.options import Agent, Mask, Observation, Scene, 
 
 GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)
 WAIT, PASS_TO_0, PASS_TO_1, SEARCH = range(4)
-"""Options of the Fetchbot; `SEARCH` + h searches tool h."""
+"""Options of the Fetchbot; `SEARCH` + h searches for tool h."""
 WORKSHOP, TOOL_ROOM, TABLE, NOWHERE = range(4)
-"""Places of a Turtlebot: the last waypoint it reached."""
+"""Places of a Turtlebot: the last waypoint reached."""
 IDLE = -1
 
 
@@ -30,11 +30,11 @@ class Turtlebot:
     Attributes:
         x: Coordinate x of its position [m].
         y: Coordinate y of its position [m].
-        waypoints: Positions of workshop, tool room and its own spot at the table [m].
-        place: Last waypoint that it reached, kept while it moves.
-        option: Option that it carries out, `IDLE` for none.
-        waited: Number of steps that it has stood at the table for a tool; 0 while it does not.
-        basket: Indices of the tools that it carries.
+        waypoints: Positions of workshop, tool room and the robot's own spot at the table [m].
+        place: Last waypoint reached, kept while moving.
+        option: Current option; `IDLE` for none.
+        waited: Number of steps spent waiting at the table for a tool; 0 otherwise.
+        basket: Indices of the tools carried.
     """
 
     x: float
@@ -47,11 +47,11 @@ class Turtlebot:
 
     @property
     def is_at_table(self) -> bool:
-        """Whether it stands exactly on its spot."""
+        """Whether the robot stands exactly on its spot at the table."""
         return (self.x, self.y) == self.waypoints[TABLE]
 
     def move(self, waypoint: int, length: float) -> bool:
-        """Move by a step towards a waypoint; return whether it is there now."""
+        """Move one step towards a waypoint; return whether it has been reached."""
         x, y = self.waypoints[waypoint]
         # Rounded as in the published environment: the optimum of 40 steps hangs on it.
         distance = round(float(np.hypot(x - self.x, y - self.y)), 2)
@@ -68,10 +68,10 @@ class Fetchbot:
     """State of the Fetchbot.
 
     Attributes:
-        option: Option that it carries out, `IDLE` for none.
-        worked: Number of steps that it has spent on the option.
-        in_vain: Whether the Turtlebot was absent when the pass to it began.
-        staged: Tools that were found and wait to be passed, the oldest first.
+        option: Current option; `IDLE` for none.
+        worked: Number of steps spent on the option.
+        in_vain: Whether the Turtlebot was absent when the pass started.
+        staged: Found tools waiting to be passed, oldest first.
         found: All tools found so far.
     """
 
@@ -84,7 +84,7 @@ class Fetchbot:
 
 @dataclass
 class Human:
-    """The human: stages of work, each but the last of which needs a tool before the next can begin."""
+    """The human: consecutive stages of work; every stage but the last needs a tool before the next one can start."""
 
     stage: int = 0
     left: int = 0
@@ -92,7 +92,7 @@ class Human:
 
 
 class ToolDeliverySimulation:
-    """The world of Tool Delivery; options of thesis Table 5.1, with the published environment's Wait."""
+    """The world of Tool Delivery; options of thesis Table 5.1, with Wait as in the published environment."""
 
     observes_while_running = False
     """As in the published environment."""
@@ -115,12 +115,12 @@ class ToolDeliverySimulation:
 
     @property
     def landmarks(self) -> Mapping[str, tuple[float, float]]:
-        """Workshop, tool room and the spots at the table [m]."""
+        """Workshop, tool room and spots at the table [m]."""
         spots = {f"table {i}": robot.waypoints[TABLE] for i, robot in enumerate(self.turtlebots)}
         return {"workshop": self.task.workshop, "tool room": self.task.tool_room, **spots}
 
     def reset(self, generator: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random
-        """Begin an episode."""
+        """Start an episode."""
         task = self.task
         self.turtlebots = [
             Turtlebot(*robot.start, (task.workshop, task.tool_room, robot.table_spot))
@@ -139,11 +139,11 @@ class ToolDeliverySimulation:
             self.fetchbot.option, self.fetchbot.worked, self.fetchbot.in_vain = option, 0, False
 
     def interrupt(self, agent: int) -> None:
-        """Stop an agent's option: an unfinished search or pass is lost, and so is the wait at the table."""
+        """Stop an agent's option; an unfinished search or pass and the wait at the table are lost."""
         self.begin(agent, IDLE)
 
     def step(self) -> SimulationStep:
-        """Advance by a second."""
+        """Advance by one second."""
         before = self._carried_out()
         reward = self.task.rewards.step
         for robot in self.turtlebots:
@@ -155,10 +155,10 @@ class ToolDeliverySimulation:
         return SimulationStep(reward, ended, done)
 
     def observe(self, agent: int) -> Observation:
-        """Return the bits of thesis 5.3.1.
+        """Return the observation bits of thesis 5.3.1.
 
-        A Turtlebot: place (4), human's stage (only in the workshop), basket, one or two tools staged (not in the
-        workshop). The Fetchbot: one or two tools staged, which Turtlebots stand at the table.
+        Turtlebot: place (4), human's stage (only in the workshop), basket, one or two tools staged (not in the
+        workshop). Fetchbot: one or two tools staged, presence of each Turtlebot at the table.
         """
         staged = [float(len(self.fetchbot.staged) == n) for n in (1, 2)]
         if agent >= len(self.turtlebots):
@@ -172,11 +172,11 @@ class ToolDeliverySimulation:
         return np.array([*place, *stage, *basket, *ready], dtype=np.float32)
 
     def legal(self, agent: int) -> Mask:
-        """Return which options an agent may begin: always all; a useless one costs time."""
+        """Return the options that an agent may start: always all; a useless one costs time."""
         return np.ones(len(self.agents[agent].options), dtype=bool)
 
     def scene(self) -> Scene:
-        """Return the scene for a picture."""
+        """Return the scene to draw."""
         robots = [(robot.x, robot.y) for robot in self.turtlebots] + [self.task.fetchbot.start]
         baskets = "  ".join(f"{sorted(robot.basket)}" for robot in self.turtlebots)
         has = "has its tool" if self.human.has_tool else f"needs tool {self.human.stage}"
@@ -184,14 +184,14 @@ class ToolDeliverySimulation:
         return Scene({agent.name: place for agent, place in zip(self.agents, robots, strict=True)}, note)
 
     def figures(self) -> dict[str, Any]:
-        """Return the number of tools that the human got in time, and of failed passes."""
+        """Return the number of tools delivered in time, and the number of failed passes."""
         return {"deliveries": self.deliveries, "failed_passes": self.failed_passes}
 
     def _carried_out(self) -> list[int]:
         return [*(robot.option for robot in self.turtlebots), self.fetchbot.option]
 
     def _drive(self, robot: Turtlebot) -> float:
-        """Let a Turtlebot act, and return the reward."""
+        """Advance a Turtlebot and return the reward."""
         option = robot.option
         if option == IDLE or not robot.move(option, self.task.step_length):
             return 0.0
@@ -213,7 +213,7 @@ class ToolDeliverySimulation:
         return self.task.rewards.delivery
 
     def _fetch(self) -> float:
-        """Let the Fetchbot act, and return the reward."""
+        """Advance the Fetchbot and return the reward."""
         fetchbot = self.fetchbot
         if fetchbot.option == IDLE:
             return 0.0

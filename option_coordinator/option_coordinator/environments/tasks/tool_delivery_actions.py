@@ -1,4 +1,4 @@
-"""Tool Delivery without options: every agent chooses a low-level action at every step ("end2end", thesis 5.3.2)."""
+"""Tool Delivery without options: every agent chooses a low-level action in every step ("end2end", thesis 5.3.2)."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ STAY = len(_STEPS)
 
 
 class ToolDeliveryActions(ToolDeliverySimulation):
-    """The same world, people and rewards with actions of one step.
+    """Tool Delivery with one-step actions; world, human and rewards are unchanged.
 
-    A Turtlebot goes left, right, up or down by a step's length, or stays, which at the table is waiting for a tool; a
-    waypoint within half a step catches it. The Fetchbot works for one step on what it chooses; choosing something else
-    loses the work. What an agent needs to act so, its position or what it works on and how far that is, it observes
-    besides.
+    A Turtlebot moves left, right, up or down by one step length, or stays, which at the table means waiting for a tool;
+    it snaps to a waypoint within half a step. The Fetchbot works for one step on the chosen action; choosing another
+    one loses the progress. Each agent additionally observes what it needs to act this way: its position, or its current
+    work and progress.
     """
 
     def __init__(self, task: ToolDelivery) -> None:
@@ -38,12 +38,12 @@ class ToolDeliveryActions(ToolDeliverySimulation):
         )
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode."""
+        """Start an episode."""
         super().reset(generator)
         self._action = [IDLE] * len(self.agents)
 
     def begin(self, agent: int, option: int) -> None:
-        """Let an agent act; it continues work on the same tool."""
+        """Start an agent's action; the Fetchbot continues work on the same tool."""
         self._action[agent] = option
         if agent < len(self.turtlebots):
             self.turtlebots[agent].option = option
@@ -51,13 +51,13 @@ class ToolDeliveryActions(ToolDeliverySimulation):
             super().begin(agent, option)
 
     def step(self) -> SimulationStep:
-        """Advance by a second, after which every action ends."""
+        """Advance by one second, after which every action ends."""
         acted = tuple(action != IDLE for action in self._action)
         self._action = [IDLE] * len(self.agents)
         return super().step()._replace(ended=acted)
 
     def observe(self, agent: int) -> Observation:
-        """Return its observation with options, plus its position, or its work and progress, scaled to [0, 1]."""
+        """Return the observation with options, plus the position, or the work and its progress, scaled to [0, 1]."""
         if agent < len(self.turtlebots):
             robot = self.turtlebots[agent]
             own = [robot.x / self.task.room[0], robot.y / self.task.room[1]]

@@ -1,8 +1,8 @@
-"""Water Filling (thesis 5.3.1): a slow vehicle that can fill and a quick drone that can only look keep jars filled.
+"""Water Filling (thesis 5.3.1): a slow vehicle that can fill jars and a fast drone that can only inspect them.
 
-A light simulation with the published constants: robots move over the cells of an empty room, along the longer of the
-two ways that remain; a jar is read by whoever comes within reach of it. Within a step the water falls first, then the
-robots move and fill, then jars are read and the reward is counted.
+A light simulation with the published constants: robots move over the cells of an empty room, along the axis with the
+larger remaining distance; a robot reads every jar within its reach. In each step the water level falls first, then the
+robots move and fill, then jars are read and the reward is computed.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ Sight = Literal["features", "image"]
 VEHICLE, DRONE = range(2)
 _STEPS = {"Up": (0, 1), "Down": (0, -1), "Left": (-1, 0), "Right": (1, 0)}
 _MEAN_OPTION_STEPS = 3
-"""Approximate low-level steps per asynchronous option step: 200 of these give all methods one length."""
+"""Approximate low-level steps per asynchronous option step; 200 of these give all methods one episode length."""
 
 
 class Action(NamedTuple):
     """Effect of an option.
 
     Attributes:
-        move: Cells in x and y of a one-step move, None for another option.
-        jar: Index of the jar concerned, None for none.
+        move: Cells in x and y for a one-step move; None for other options.
+        jar: Index of the jar concerned; None for none.
         goes: Whether the robot drives to the jar.
-        fills: Whether it fills the jar, or without one all jars in reach.
+        fills: Whether the robot fills the jar, or without `jar` all jars in reach.
     """
 
     move: tuple[int, int] | None
@@ -46,15 +46,15 @@ class WaterFillingSimulation:
 
     Args:
         task: Water Filling task to simulate.
-        options: Set of options: "published" (7 x 7: NavToFill or NavTo and one-step moves), "thesis" (Table 5.1: the
+        options: Option set: "published" (7 x 7: NavToFill or NavTo, and one-step moves), "thesis" (Table 5.1: the
             vehicle also fills and navigates separately) or "actions" (one step each: moves and, for the vehicle, Fill).
-        sight: Observation besides the shared levels and ages: "features" (position, jars in reach) or "image" (the room
-            from above: red the robot itself, green the other, blue the jars, as bright as full when in reach, half
-            bright when not).
+        sight: Observation besides the shared levels and ages: "features" (position, jars in reach) or "image" (top view
+            of the room: the robot in red, the other one in green, jars in blue, with their level as brightness if in
+            reach and half brightness otherwise).
     """
 
     observes_while_running = True
-    """The robots share their knowledge of the jars, which is always new, and so are their images."""
+    """True, because the robots share their knowledge of the jars and their images, which are always current."""
 
     def __init__(self, task: WaterFilling, options: OptionSet = "published", sight: Sight = "features") -> None:
         self.task = task
@@ -82,7 +82,7 @@ class WaterFillingSimulation:
         return {jar.name: jar.position for jar in self.task.jars}
 
     def reset(self, generator: np.random.Generator) -> None:
-        """Begin an episode with full jars and both robots at the centre."""
+        """Start an episode with full jars and both robots at the centre."""
         count = len(self.task.jars)
         self._random = generator
         self.levels = np.full(count, self.task.start_level)
@@ -120,22 +120,22 @@ class WaterFillingSimulation:
         return SimulationStep(reward, ended, False)
 
     def observe(self, agent: int) -> Observation:
-        """Return what the robot sees, the last known levels, and how long ago each was read [200 steps]."""
+        """Return the robot's own observation, the last known levels, and the age of each reading [200 steps]."""
         own = self._image(agent) if self.sight == "image" else self._features(agent)
         return np.concatenate((own, self.known, self.ages)).astype(np.float32)
 
     def legal(self, agent: int) -> Mask:
-        """Return which options an agent may begin: not a move into the wall, nor filling what is out of reach."""
+        """Return the options that an agent may start: no moves into the wall, no filling out of reach."""
         return np.array([self._is_legal(agent, action) for action in self._actions[agent]])
 
     def scene(self) -> Scene:
-        """Return the scene for a picture."""
+        """Return the scene to draw."""
         places = {a.name: tuple(p) for a, p in zip(self.agents, self._positions().tolist(), strict=True)}
         levels = "  ".join(f"{jar.name} {level:.2f}" for jar, level in zip(self.task.jars, self.levels, strict=True))
         return Scene(places, levels)
 
     def figures(self) -> dict[str, Any]:
-        """Return the mean low-level reward and how often a jar was filled."""
+        """Return the mean low-level reward and the number of fillings."""
         return {"mean_reward": self._paid / max(self._steps, 1), "fills": self._fills}
 
     def _is_legal(self, agent: int, action: Action) -> bool:
@@ -147,7 +147,7 @@ class WaterFillingSimulation:
         return bool(self._reach[agent].any() if action.jar is None else self._reach[agent, action.jar])
 
     def _draw(self, jar: int) -> None:
-        """Draw when a jar's level falls next, and by how much."""
+        """Draw the time and amount of a jar's next drop in level."""
         low, high = self.task.interval_means
         interval = round(self._random.exponential(self._random.integers(low, high + 1)))
         self._wait[jar] = interval
@@ -162,7 +162,7 @@ class WaterFillingSimulation:
                 self._draw(jar)
 
     def _act(self, agent: int) -> bool:
-        """Let an agent act for a step and return whether its option has ended."""
+        """Advance an agent by one step and return whether its option has ended."""
         action = self._running[agent]
         if action is None:
             return False
@@ -180,7 +180,7 @@ class WaterFillingSimulation:
         return True
 
     def _approach(self, agent: int, jar: int) -> bool:
-        """Move towards a jar and return whether it is in reach."""
+        """Move towards a jar and return whether it is within reach."""
         for _ in range(self._speed[agent]):
             if self._reach[agent, jar]:
                 return True
@@ -198,7 +198,7 @@ class WaterFillingSimulation:
         return goal[0] - (x_low + self.task.cell * x), goal[1] - (y_low + self.task.cell * y)
 
     def _look(self, agent: int) -> None:
-        """Record which jars an agent reaches from its position."""
+        """Read the jars within an agent's reach."""
         for jar in range(len(self.levels)):
             x, y = self._way(agent, jar)
             self._reach[agent, jar] = x * x + y * y <= self.task.reach**2
@@ -216,7 +216,7 @@ class WaterFillingSimulation:
         return np.concatenate((np.array(self._cell[agent]) / (np.array(self._cells) - 1.0), self._reach[agent]))
 
     def _image(self, agent: int) -> NDArray[np.float64]:
-        """Return the room from above (3 x width x depth,), flat."""
+        """Return the top view of the room, flattened (3 x width x depth,)."""
         image = np.zeros((3, *self._cells))
         image[0][tuple(self._cell[agent])] = 1.0
         image[1][tuple(self._cell[1 - agent])] = 1.0
@@ -228,13 +228,13 @@ class WaterFillingSimulation:
 
 
 def _action(name: str, jars: Sequence[str]) -> Action:
-    """Return an option's effect."""
+    """Return the effect of an option."""
     what, _, jar = name.partition(":")
     return Action(_STEPS.get(what), jars.index(jar) if jar else None, what.startswith("NavTo"), what.endswith("Fill"))
 
 
 def _option_names(task: WaterFilling, options: OptionSet) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the options of vehicle and drone."""
+    """Return the option names of vehicle and drone."""
     jars = [jar.name for jar in task.jars]
     moves = tuple(_STEPS)
     if options == "actions":

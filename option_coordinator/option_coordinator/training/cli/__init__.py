@@ -1,1 +1,1 @@
-"""The commands that learn joint options."""
+"""The commands for learning joint options."""

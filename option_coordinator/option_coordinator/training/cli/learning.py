@@ -1,4 +1,4 @@
-"""The commands `train`, `evaluate`, `plot`, `loop` and `evaluate_offline`: learning joint options."""
+"""The commands `train`, `evaluate`, `plot`, `loop` and `evaluate_offline` for learning joint options."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ class Train(ExperimentOptions):
     """Learn joint options (thesis 5.3) from several seeds; an interrupted run continues where it stopped."""
 
     folder: FolderToWrite = Path("runs/options")
-    """Folder of the runs; each run has a subfolder and continues there where it stopped."""
+    """Folder of the runs; each run has a subfolder, from which it is resumed."""
     task: str | None = None
     """Task to learn (tool_delivery, water_filling, delivery_team or a file); with --bags, to evaluate in."""
     bags: tuple[Path, ...] = ()
     """Bags to learn from."""
     way: Literal["auto", "mappo", "imitation", "weighted"] = "auto"
-    """Way to learn from bags: auto uses MAPPO on a policy's own decisions and imitates others; weighted imitates any
-    decisions as far as they paid."""
+    """Way to learn from bags: auto uses MAPPO on a policy's own decisions and imitates others;
+    weighted imitates any decisions, weighted by advantage.
+    """
     start: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """Policy to start from, with --bags."""
     head: Annotated[str, one_of(HEADS)] = "table"
@@ -148,7 +149,7 @@ training_figures = make_old_command("training_figures", "plot", plot)
 class LoopOptions:
     """Close the loop: learn a policy from a careless script's bags, the next from all bags so far, and compare them.
 
-    After Ctrl-C the next call continues where it stopped; the results then hold the runs so far.
+    After Ctrl-C, the next call resumes the runs; until then, the results contain the runs so far.
     """
 
     tasks: tuple[str, ...] = ("tool_delivery",)
@@ -156,17 +157,17 @@ class LoopOptions:
     seeds: Positive = 5
     """Number of seeds, counted from 0."""
     rounds: Positive = 3
-    """Rounds after the script's."""
+    """Number of rounds after the script's."""
     episodes: Positive = 100
-    """Episodes that each round records."""
+    """Number of episodes recorded per round."""
     tests: Positive = 50
-    """Evaluation episodes per round."""
+    """Number of evaluation episodes per round."""
     careless: float = 0.5
-    """Probability that the script takes any legal option."""
+    """Probability that the script takes a random legal option."""
     folder: FolderToWrite = Path("runs/options_loop")
-    """Folder of the runs; each goes on there where it was cut off."""
+    """Folder of the runs; interrupted runs are resumed."""
     results: OptionalFileToWrite = None
-    """JSON file to write return and success of each round to."""
+    """JSON file for return and success of each round."""
 
 
 def _loop(options: LoopOptions) -> int:
@@ -198,7 +199,7 @@ def _loop(options: LoopOptions) -> int:
 
 
 def _rows(found: dict[str, list[list[dict[str, Any]]]]) -> list[Result]:
-    """Return figures of each round, one number a seed."""
+    """Return metrics of each round, one value per seed."""
     rows = []
     for task, runs in found.items():
         for number in range(len(runs[0])):
@@ -221,23 +222,23 @@ loop = make_command("loop", LoopOptions, _loop)
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineOptions:
-    """Predict a joint policy's return from bags, with 95 % intervals, and tell whether it may be called better.
+    """Estimate a joint policy's return from bags, with 95 % intervals, and report whether it is an improvement.
 
-    Exits with 1 if the bags do not show that the policy is better than their deciders.
+    Exits with 1 unless the bags show that the policy is better than the ones that recorded them.
     """
 
     bags: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="BAG [BAG ...]")]
     """Bags with `joint_option_step`."""
     policy: str
-    """Joint policy: a file, or the name of one that ships."""
+    """Joint policy: a file, or the name of a shipped one."""
     updates: Positive = 1500
     """Number of updates of each fit."""
     fits: Positive = 3
     """Number of fits; their spread is part of the intervals."""
     seed: NotNegative = 0
-    """Seed of fits, draws and resampling."""
+    """Seed of fits, sampling and resampling."""
     results: OptionalFileToWrite = None
-    """JSON file to write the estimates to."""
+    """JSON file for the estimates."""
 
 
 def _evaluate_offline(options: OfflineOptions) -> int:

@@ -1,10 +1,10 @@
-"""Learns from recorded decisions: a run whose data are bags.
+"""Learns from recorded decisions: a training run with bags as data.
 
     run = BagRun((Path("runs/mine/bag"),), start=Path("policy.safetensors"))
     result = train(run, RunOptions(folder, ROUNDS[run.way], final_evaluations=50))
 
-From its own decisions a policy goes on learning with MAPPO's clipped ratios to the log-probabilities in the bag.
-Decisions of a script or another policy are imitated or, if asked for, imitated as far as they paid.
+From its own decisions, a policy continues learning with MAPPO's clipped ratios to the log-probabilities in the bag.
+Decisions of a script or another policy are imitated, optionally weighted by advantage.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ _LEARNERS: Mapping[Way, type[GradientLearner]] = {
 }
 _VALUE_ROUNDS = 10
 _SAME_RATIO = 1e-2
-"""Rounding error of the first ratios."""
+"""Rounding error of the initial ratios."""
 
 
 @dataclass(frozen=True)
 class BagRun(Run):
-    """A run on recorded decisions; it leaves policy.safetensors (an `OptionPolicy`) in its folder.
+    """A run on recorded decisions; writes policy.safetensors (an `OptionPolicy`) to its folder.
 
-    Each iteration passes ten times over the data. With a task the result has `before` and `after`: see `evaluate`.
+    Each iteration makes ten passes over the data. With a task, the result has `before` and `after`, see `evaluate`.
 
     Attributes:
         bags: Bags to learn from.
-        start: Policy to go on from; None for a new one.
-        task_name: Name or file of a task to evaluate the policy in; without `start` it defines the robots' options.
-        head: Kind of joint policy, for a new one.
+        start: Policy to start from; None for a new one.
+        task_name: Name or file of a task for evaluation; without `start`, it also defines the robots' options.
+        head: Kind of a new joint policy.
         seed: Seed of everything random.
-        asked: Way to learn; None for MAPPO on the policy's own decisions, and imitation of others.
+        asked: Way to learn; None for MAPPO on the policy's own decisions and imitation of others.
     """
 
     bags: tuple[Path, ...]
@@ -71,14 +71,14 @@ class BagRun(Run):
 
     @property
     def name(self) -> str:
-        """Name of the run and of its folder: a digest of its data and of the policy it starts from."""
+        """Name of the run and of its folder: a digest of data and initial policy."""
         told = [self.data_digest, self.policy.digest if self.policy else self.head, self.task_name, self.seed]
         told += [self.asked] if self.asked is not None else []
         return f"bags-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
     @cached_property
     def policy(self) -> OptionPolicy | None:
-        """The policy to start from."""
+        """The initial policy."""
         return None if self.start is None else OptionPolicy.load(self.start)
 
     @cached_property
@@ -86,7 +86,7 @@ class BagRun(Run):
         """The robots.
 
         Raises:
-            OptionError: Neither a policy nor a task defines their options.
+            OptionError: Neither a policy nor a task defines the options.
         """
         if self.policy is not None:
             return self.policy.agents
@@ -100,7 +100,7 @@ class BagRun(Run):
 
         Raises:
             BagError: A bag cannot be read.
-            OptionError: A bag holds no decisions, or those of another team.
+            OptionError: A bag has no decisions, or those of another team.
         """
         found, team = [], TeamLayout.of(self.agents)
         for bag in self.bags:
@@ -112,7 +112,7 @@ class BagRun(Run):
 
     @property
     def own(self) -> list[Recording]:
-        """Recordings of the policy to start from."""
+        """Recordings of the initial policy."""
         return [recording for recording in self.recordings if self.policy and recording.digest == self.policy.digest]
 
     @property
@@ -120,8 +120,8 @@ class BagRun(Run):
         """The way to learn.
 
         Raises:
-            OptionError: The policy does not draw, so its own decisions teach it nothing; or MAPPO has no such
-            decisions.
+            OptionError: The policy is deterministic, so its own decisions have no information; or there are no own
+                decisions for MAPPO.
         """
         if self.asked is not None and self.asked != "mappo":
             return self.asked
@@ -141,7 +141,7 @@ class BagRun(Run):
 
     @property
     def left_out(self) -> int:
-        """Number of decisions that are not used."""
+        """Number of unused decisions."""
         return sum(len(recording.trajectory) for recording in self.recordings) - len(self.trajectory)
 
     @cached_property
@@ -155,7 +155,7 @@ class BagRun(Run):
         return digest.hexdigest()
 
     def learner(self) -> Learner:
-        """Return the initial learner."""
+        """Create the initial learner."""
         torch.manual_seed(self.seed)
         make = _LEARNERS[self.way]
         policy = self.policy
@@ -166,7 +166,7 @@ class BagRun(Run):
         return learner
 
     def environment(self) -> OptionEnvironment | None:
-        """Return the environment to evaluate in, if a task was named, with the settings of the policy's training.
+        """Create the evaluation environment, if a task was named, with the settings of the policy's training.
 
         Raises:
             OptionError: The task has other robots.
@@ -181,7 +181,7 @@ class BagRun(Run):
         return environment
 
     def fingerprint(self, options: RunOptions) -> dict[str, Any]:
-        """Return what the run depends on: data, policy and settings."""
+        """Return everything the run depends on: data, policy and settings."""
         return {
             "way": self.way,
             "from": self.policy.digest if self.policy is not None else "",
@@ -197,11 +197,11 @@ class BagRun(Run):
 
     @contextmanager
     def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
-        """Yield the learner."""
+        """Yield the trainer."""
         yield _Trainer(self, options, self.learner())
 
     def words(self, point: IterationMetrics) -> str:
-        """Return the figures of the iteration."""
+        """Format the metrics of the iteration."""
         return ", ".join(f"{name} {figure:.2f}" for name, figure in point["update"].items())
 
 
@@ -215,7 +215,7 @@ class _Trainer(Checkpoints):
         self._judged_before = self._judge()
 
     def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
-        """Go through the data; before the first time, learn what its states are worth."""
+        """Make the passes over the data; before the first iteration, fit the value function."""
         generator = np.random.default_rng((self._run.seed, len(curve)))
         torch.manual_seed(int(generator.integers(2**31)))
         learner, trajectory = self._learner, self._run.trajectory
@@ -228,7 +228,7 @@ class _Trainer(Checkpoints):
         return {"update": figures}
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
-        """Write the policy, and judge it if there is a task."""
+        """Write the policy, and evaluate it if there is a task."""
         run, learner = self._run, self._learner
         policy = run.policy
         OptionPolicy(

@@ -1,6 +1,6 @@
 """The closed loop of a team: play, record, learn from the bags alone, play again, compare.
 
-Round 0 is a careless script. Each later round learns from all earlier bags by weighted imitation, and records the draws
+Round 0 is a careless script. Each later round learns from all earlier bags by weighted imitation, and records samples
 of its policy. An interrupted run continues where it stopped.
 """
 
@@ -31,11 +31,11 @@ _SEEDS_APART = 100_000
 
 
 class Choice(NamedTuple):
-    """Options that a driver of the team chose.
+    """Options chosen by a driver of the team.
 
     Attributes:
         options: Joint option (N,).
-        log_prob: Log-probability of the options that were chosen; 0 for a script.
+        log_prob: Log-probability of the chosen options; 0 for a script.
     """
 
     options: NDArray[np.int64]
@@ -48,11 +48,11 @@ class LoopSettings:
 
     Attributes:
         rounds: Number of rounds after the script's.
-        episodes: Number of recorded episodes of each round.
+        episodes: Number of recorded episodes per round.
         tests: Number of evaluation episodes per round.
-        careless: Probability that the script takes any legal option.
+        careless: Probability that the script takes a random legal option.
         seed: Seed of everything random.
-        fit_updates: Number of updates of each of two fits of the offline evaluation.
+        fit_updates: Number of updates in each of the two fits of the offline evaluation.
     """
 
     rounds: int = 3
@@ -64,7 +64,7 @@ class LoopSettings:
 
 
 class CarelessScript:
-    """The task's script, which sometimes takes any legal option."""
+    """The task's script, which sometimes takes a random legal option."""
 
     digest = ""
 
@@ -106,7 +106,7 @@ Driver = CarelessScript | DrawnPolicy
 
 
 def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Run the loop; return each round's `evaluation.summary` and the `returns` of its episodes.
+    """Run the loop; return each round's `evaluation.summary`, and the `returns` of its episodes.
 
     Args:
         task: Name or file of a task of a team.
@@ -115,7 +115,7 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
         tell: Called with a line about each round.
 
     Raises:
-        CtrlRlError: There is no such task; a file of an earlier call is damaged; the disk refuses.
+        CtrlRlError: The task does not exist, a file of an earlier call is damaged, or writing fails.
     """
     bags = [folder / f"round_{number}" / "bag" for number in range(settings.rounds + 1)]
 
@@ -145,7 +145,7 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
 def play(
     environment: OptionEnvironment, driver: Driver, seeds: range, bag: TeamBag | None = None
 ) -> Iterator[OptionEpisode]:
-    """Play an episode for each seed, and record it if there is a bag."""
+    """Play one episode per seed, and record it if a bag is given."""
 
     def choose(decision: Decision) -> dict[str, int]:
         choice = driver(decision)
@@ -169,7 +169,7 @@ def _driver(
     seed: int,
     result: dict[str, Any],
 ) -> Driver:
-    """Return the script, or the policy learnt from the bags so far, whose offline evaluation is added to `result`."""
+    """Return the script, or a policy learnt from the bags so far; its offline evaluation is added to `result`."""
     if not bags:
         return CarelessScript(environment, settings.careless, seed)
     run = BagRun(tuple(bags), None, task, seed=settings.seed, asked="weighted")

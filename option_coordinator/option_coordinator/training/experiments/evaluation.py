@@ -11,12 +11,12 @@ from option_coordinator.environments.roll_out import JointDecisionPolicy, Option
 from option_coordinator.policies.joint_policy import JointPolicy
 
 DRAWS, MODE = "draws", "mode"
-"""Ways to use a policy: its draws (for Q-learning, its final exploration), or its most likely options."""
+"""Ways to use a policy: samples (for Q-learning, with its final exploration), or most likely options."""
 _SEED = 2_000_000
 
 
 def fresh(episodes: int) -> range:
-    """Return the seeds of evaluation episodes: the same worlds for every policy, none of them used in learning."""
+    """Return seeds of evaluation episodes: the same worlds for every policy, never used in training."""
     return range(_SEED, _SEED + episodes)
 
 
@@ -26,11 +26,11 @@ def evaluate(
     """Evaluate both uses of a policy, `DRAWS` and `MODE`, in the same episodes; see `summary`.
 
     Args:
-        environment: Environment to play in.
-        draws: Policy whose options are drawn.
-        mode: Policy whose most likely options are taken; with few observations it may run in circles.
-        episodes: Number of episodes of each use.
-        seed: Seed of the run; worlds are the same for all runs, draws are each run's own.
+        environment: Environment of the episodes.
+        draws: Policy that samples its options.
+        mode: Policy that takes its most likely options; with little observed, it may run in circles.
+        episodes: Number of episodes per use.
+        seed: Seed of the run, used for sampling; the worlds are the same for all runs.
     """
     seeds = fresh(episodes)
     choosers = {
@@ -41,11 +41,11 @@ def evaluate(
 
 
 def summary(episodes: Sequence[OptionEpisode]) -> dict[str, float]:
-    """Return what episodes amount to; nothing for no episodes.
+    """Summarise episodes; empty if there are none.
 
-    Means over episodes are `return`, `steps`, `decisions`, `terminated` and what the task says. Means over all option
-    steps of all episodes are `option_reward`, r_kappa, and `last_reward`, which is what the thesis's figures are of:
-    the published code keeps an option step's last low-level reward alone.
+    Means over episodes: `return`, `steps`, `decisions`, `terminated` and the task's metrics. Means over all option
+    steps: `option_reward` (r_kappa) and `last_reward`, the quantity in the thesis's tables: the published code keeps
+    only the last low-level reward of each option step.
     """
     if not episodes:
         return {}

@@ -1,4 +1,4 @@
-"""What is compared in thesis 5.3: the same trunk, observations and, but for one, low-level samples; choice differs."""
+"""The methods compared in thesis 5.3: same trunk, observations and (with one exception) low-level samples."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from option_coordinator.environments.option_env import Synchronisation
 from option_coordinator.environments.tasks import Level
 
 _OF_THE_THESIS = ("tool_delivery", "water_filling")
-"""Kinds of tasks."""
+"""Kinds of tasks in the thesis."""
 
 
 @dataclass(frozen=True)
@@ -19,14 +19,14 @@ class Method:
     """A way to learn.
 
     Attributes:
-        label: Name in tables and pictures.
-        synchronisation: Rule of who chooses when.
-        head: kind of joint policy.
-        partial: whether each agent chooses by its own observation (Eq. 5.5).
+        label: Name in tables and figures.
+        synchronisation: Termination strategy.
+        head: Kind of joint policy.
+        partial: Whether each agent chooses from its own observation (Eq. 5.5).
         learner: "mappo" or "mac_dqn".
-        level: Level of the choice, a `option_coordinator.environments.tasks.Level`.
-        budget: low-level samples by kind of task, in those of the others; 1 for a task that is not named.
-        kinds: Kinds of tasks that it is for.
+        level: Level of choice, an `option_coordinator.environments.tasks.Level`.
+        budget: Low-level samples by kind of task, as a multiple of the other methods'; 1 for tasks not listed.
+        kinds: Kinds of tasks for which the method is used.
     """
 
     label: str
@@ -40,7 +40,7 @@ class Method:
 
 
 _LONG = MappingProxyType({"tool_delivery": 8, "water_filling": 3})
-"""Mac-DQN's in Tables 5.2 and 5.3: 400K and 600K, the others' 50K and 200K."""
+"""Sample budget of Mac-DQN in Tables 5.2 and 5.3: 400K and 600K, versus 50K and 200K for the others."""
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "async": Method("async (thesis)"),

@@ -1,7 +1,7 @@
-"""What a joint policy would earn, from bags of other deciders, before robots play it.
+"""Estimates a joint policy's return from bags of other policies, before robots run it.
 
-Fitted Q evaluation (Le, Voloshin, Yue 2019) over option steps, with gamma^tau in place of gamma. What an episode would
-have paid after it was cut off counts nothing, for the policy and for whoever decided in the bags.
+Fitted Q evaluation (Le, Voloshin, Yue 2019) over option steps, with gamma^tau in place of gamma. Rewards after an
+episode's truncation do not count, for the policy as well as for the recorded deciders.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class TeamReport:
     """Estimates of discounted returns from bags.
 
     Attributes:
-        driver: Return that the bags show.
-        policy: Return of the policy by fitted Q evaluation.
-        gain: Return of the policy, less that of the bags.
+        driver: Return in the bags.
+        policy: Return of the policy, estimated by fitted Q evaluation.
+        gain: Return of the policy minus that of the bags.
         episodes: Number of episodes in the bags.
     """
 
@@ -48,7 +48,7 @@ class TeamReport:
 
     @property
     def better(self) -> bool:
-        """Whether the policy may be called better than who decided in the bags."""
+        """Whether the policy is significantly better than the deciders in the bags."""
         return self.gain.low > 0.0
 
 
@@ -61,18 +61,18 @@ def evaluate_offline(
     seed: int = 0,
     tell: Callable[[int], object] = lambda _: None,
 ) -> TeamReport:
-    """Return what bags say about a policy that has not been played.
+    """Estimate the return of a policy from bags, without running it.
 
     Args:
-        recordings: Decisions of others, as `recordings` reads them from bags.
-        policy: Policy of the same team; its options are drawn.
+        recordings: Decisions of others, read from bags by `recordings`.
+        policy: Policy of the same team; its options are sampled.
         updates: Number of updates of each fit.
         fits: Number of fits; their spread is part of the intervals.
-        seed: Seed of fits, draws and resampling.
-        tell: Told the number of updates since the last call.
+        seed: Seed of fits, sampling and resampling.
+        tell: Called with the number of updates since the last call.
 
     Raises:
-        OptionError: There are too few episodes, or they are another team's.
+        OptionError: There are too few episodes, or they belong to another team.
     """
     if len(recordings) < _LEAST_EPISODES:
         raise OptionError(f"the bags have {len(recordings)} episodes: at least {_LEAST_EPISODES} are needed")
@@ -94,7 +94,7 @@ def evaluate_offline(
 
 
 def _starts(trajectory: OptionTrajectory) -> NDArray[np.intp]:
-    """Return the first step of each episode (episodes,)."""
+    """Return the index of the first step of each episode (episodes,)."""
     return np.concatenate(([0], np.flatnonzero(trajectory.last)[:-1] + 1))
 
 
@@ -115,10 +115,9 @@ def _fit(
     earned: Array,
     tell: Callable[[int], object],
 ) -> Array:
-    """Return the policy's value at the first step of each episode (episodes,), by one fit.
+    """Return the policy's value at the first step of each episode (episodes,), from one fit.
 
-    Targets are cut off at the most and the least that any recorded step still brought: where the bags say nothing, a
-    fit must not run away.
+    Targets are clipped to the range of recorded returns, so that the fit cannot diverge outside the data.
     """
     generator = np.random.default_rng(seed)
     scale = max(float(np.abs(earned).max()), 1e-9)
@@ -161,18 +160,18 @@ def _fit(
 
 
 def _query(trajectory: OptionTrajectory, step: int) -> PolicyQuery:
-    """Return what was asked at a step."""
+    """Return the policy query of a step."""
     seen, legal = trajectory.observation[step], trajectory.legal[step]
     return PolicyQuery(seen, trajectory.choosing[step], trajectory.running[step], legal)
 
 
 def _draw(policy: OptionPolicy, query: PolicyQuery, generator: np.random.Generator) -> NDArray[np.int64]:
-    """Return draws of a policy (draws, N)."""
+    """Return samples of a policy (draws, N)."""
     conditional = policy.joint.valid(query)
     return np.stack([conditional.sample(generator) for _ in range(_DRAWS)])
 
 
 def _mean(network: ValueNetwork, observation: Tensor, options: Tensor) -> Tensor:
-    """Return the mean value (B,) over draws of joint options (B, draws, N) at observations (B, D)."""
+    """Return the mean value (B,) over sampled joint options (B, draws, N) at observations (B, D)."""
     values = [network(observation, options[:, draw]) for draw in range(_DRAWS)]
     return torch.stack(values).mean(dim=0)

@@ -1,4 +1,4 @@
-"""The table of a task's runs, with the thesis's figures beside ours, and curves to draw.
+"""The results table of a task's runs beside the thesis's values, and curves to draw.
 
 rows, figures = collect(option_runs("tool_delivery", ["async"], 10), Path("runs/options"))
 """
@@ -39,11 +39,11 @@ METRICS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "deliveries": ("deliveries", "1"),
     },
 }
-"""Names and units of metrics, by key of a summary; low-level steps of Tool Delivery last a second."""
+"""Names and units of metrics, by summary key; low-level steps of Tool Delivery last one second."""
 MAIN = {"tool_delivery": "return", "water_filling": "mean_reward", "team_delivery": "return"}
-"""What learning is judged by."""
+"""Main metric of learning."""
 ENOUGH = {"tool_delivery": 230.0}
-"""What counts as learnt, by the main metric of the episodes of learning; else what the scripted policy reaches."""
+"""Threshold of the main metric that counts as learnt; by default the scripted policy's value."""
 THESIS: Mapping[tuple[str, str, str], float] = {
     ("tool_delivery", "async", "last_reward"): 17.1,
     ("tool_delivery", "partial", "last_reward"): 4.4,
@@ -52,19 +52,19 @@ THESIS: Mapping[tuple[str, str, str], float] = {
     ("water_filling", "partial", "last_reward"): -349.0,
     ("water_filling", "mac_dqn_long", "last_reward"): -287.0,
 }
-"""Tables 5.2 and 5.3, whose figures are means over option steps of their last low-level reward alone."""
+"""Tables 5.2 and 5.3, which average only the last low-level reward of each option step."""
 _EPISODES = 50
-"""Of policies that were not learnt."""
+"""Number of episodes of policies that were not learnt."""
 
 
 def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the table and the figures' data of all runs that are finished.
+    """Return the table and the figure data of all finished runs.
 
     Returns:
-        For each method, one value a seed, of the policy as it was learnt to be used; the main metric also of its draws
-        and of its most likely options; samples until it is `ENOUGH` in learning; and rows of what was not learnt.
-        And `curves` by method: `samples` (iterations,), `values` (seeds, iterations) of the episodes of learning by
-        the main metric.
+        Table rows: for each method, one value per seed for the policy as used in training; the main metric also for
+            sampled and for most likely options; samples until `ENOUGH` is reached; and rows of policies that were not
+            learnt. Figure data: `curves` by method, with `samples` (iterations,) and `values` (seeds, iterations) of
+            the main metric during training.
     """
     task = todo[0].task
     names, main = METRICS[task.kind], MAIN[task.kind]
@@ -97,7 +97,7 @@ def collect(todo: Sequence[OptionRun], folder: Path) -> tuple[list[Result], dict
 
 
 def _metric(name: str, unit: str, use: str | None, key: str) -> Metric:
-    """Return a metric of a use of the policy; None for the use that it was learnt for."""
+    """Return a metric for one use of the policy; None for the use it was trained for."""
     return metric(name, unit, lambda result: result["final"][use or result["used"]][key])
 
 

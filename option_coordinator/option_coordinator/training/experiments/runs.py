@@ -1,4 +1,4 @@
-"""The runs of thesis 5.3: a method on a task, from one seed, in iterations of fresh episodes.
+"""The runs of thesis 5.3: a method on a task, from one seed, in iterations of new episodes.
 
 result = train(OptionRun("tool_delivery", "async", 0), RunOptions(Path("runs/options"), 25, 2000, 0, 50))
 """
@@ -49,7 +49,7 @@ class Checkpoints:
         """Restore the learner from a checkpoint and return the progress.
 
         Raises:
-            Exception: one of `ctrl_rl_learning.study.trainer.UNUSABLE`.
+            Exception: One of `ctrl_rl_learning.study.trainer.UNUSABLE`.
         """
         arrays, progress = load_arrays(path)
         restore_state(self._learner.networks, self._learner.optimizers, arrays)
@@ -59,18 +59,19 @@ class Checkpoints:
 
 @dataclass(frozen=True)
 class OptionRun(Run):
-    """A run with a method of `METHODS`; its folder then holds policy.safetensors (an `OptionPolicy`).
+    """A run of one of the `METHODS`; writes policy.safetensors (an `OptionPolicy`) to its folder.
 
-    A point of its curve says samples, `learning` (`summary` of the episodes that ended in it) and the largest figures
-    of each `update`; its result has `final` (see `evaluate`) and `used`, the way of using the policy that it was
-    learnt for. A method with a larger budget takes as many times more samples than `RunOptions` say.
+    A point of the curve has samples, `learning` (`summary` of the episodes that ended in it) and the maxima of the
+    metrics of each `update`; the result has `final` (see `evaluate`) and `used`, the use the policy was trained for.
+    The samples in `RunOptions` are multiplied by the method's budget.
 
     Attributes:
-        task_name: Name of the task, or its file.
+        task_name: Name or file of the task.
         method_name: One of `METHODS`.
         seed: Seed of everything random.
         sight: Observation of Water Filling's robots.
-        drop: Probability that a robot vanishes for a while in an episode; if positive, the policy is told who is there.
+        drop: Probability of a robot's temporary drop-out in an episode; if positive, the policy observes which robots
+            are present.
     """
 
     task_name: str
@@ -96,14 +97,14 @@ class OptionRun(Run):
         """The method.
 
         Raises:
-            OptionError: there is no such method.
+            OptionError: The method is unknown.
         """
         method: Method = find_method(METHODS, self.method_name, OptionError)
         return method
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result and its policy, as JSON."""
+        """Description of the run for its result and policy, as JSON."""
         return {
             "task": self.task.name,
             "task_digest": task_digest(self.task),
@@ -117,14 +118,14 @@ class OptionRun(Run):
 
     @property
     def budget(self) -> int:
-        """Its low-level samples, in those that the task gives to most methods."""
+        """Budget of low-level samples, as a multiple of the task's usual number."""
         return self.method.budget.get(self.task.kind, 1)
 
     def environment(self) -> OptionEnvironment:
-        """Return its environment.
+        """Create the environment.
 
         Raises:
-            OptionError: images, options or robots that vanish are asked of what has none.
+            OptionError: The task does not support the requested images, options or drop-outs.
         """
         method = self.method
         if self.drop and (method.partial or method.learner != "mappo"):
@@ -134,7 +135,7 @@ class OptionRun(Run):
         )
 
     def learner(self) -> Learner:
-        """Return the untrained learner."""
+        """Create the untrained learner."""
         torch.manual_seed(self.seed)
         agents = self.environment().agents
         if self.method.learner == "mac_dqn":
@@ -142,11 +143,11 @@ class OptionRun(Run):
         return Mappo(agents, self.method.head, self.method.partial, presence=self.drop > 0.0)
 
     def batch(self, learner: Learner) -> int:
-        """Return the low-level samples between two updates."""
+        """Return the number of low-level samples between two updates."""
         return learner.settings.update_samples if isinstance(learner, MacDqn) else self.task.batch_samples
 
     def policy(self, learner: Learner, figures: dict[str, Any]) -> OptionPolicy:
-        """Return what was learnt, to be saved."""
+        """Return the learnt policy for saving."""
         return OptionPolicy(
             agents=self.environment().agents,
             head=self.method.head,
@@ -170,11 +171,11 @@ class OptionRun(Run):
 
     @contextmanager
     def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
-        """Yield the learner."""
+        """Yield the trainer."""
         yield _Trainer(self, options, self.learner())
 
     def words(self, point: IterationMetrics) -> str:
-        """Return the mean return of the iteration's episodes."""
+        """Format the mean return of the iteration's episodes."""
         returned = point["learning"].get("return")
         return "" if returned is None else f"return {returned:.0f}"
 
@@ -188,7 +189,7 @@ class _Trainer(Checkpoints):
         self._learner = learner
 
     def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
-        """Learn from fresh episodes, in batches of about the same size; an iteration takes up what others overshot."""
+        """Learn from new episodes in batches of similar size, offsetting samples overshot by earlier iterations."""
         run, learner, done = self._run, self._learner, len(curve)
         taken = int(curve[-1]["samples"]) if curve else 0
         samples = max(1, (done + 1) * self._options.samples * run.budget - taken)
@@ -204,7 +205,7 @@ class _Trainer(Checkpoints):
         return {"samples": taken + roll_out.samples, "learning": summary(roll_out.finished), "update": figures}
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
-        """Play what is saved, and write it."""
+        """Evaluate the policy to be saved, and write it."""
         run, learner = self._run, self._learner
         best = run.policy(learner, {}).joint
         final = evaluate(run.environment(), learner.behaviour(1.0), best, self._options.final_evaluations, run.seed)
@@ -216,6 +217,6 @@ class _Trainer(Checkpoints):
 def option_runs(
     task_name: str, methods: Sequence[str], seeds: int, sight: Sight = "features", drop: float = 0.0
 ) -> list[OptionRun]:
-    """Return all runs of a task, those that matter most first."""
+    """Return all runs of a task, the most important ones first."""
     ordered = sorted(set(methods), key=list(METHODS).index)
     return [OptionRun(task_name, method, seed, sight, drop) for method in ordered for seed in range(seeds)]

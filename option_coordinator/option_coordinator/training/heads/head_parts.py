@@ -15,7 +15,7 @@ from option_coordinator.options.options import NONE
 HIDDEN = 64
 HEAD_GAIN = 0.01
 NEVER = -1e9
-"""Log-probability of the impossible: its exp is 0 but, unlike -inf, it has a gradient."""
+"""Log-probability of impossible options: its exp is 0 but, unlike -inf, it has a gradient."""
 
 
 class DecisionBatch(NamedTuple):
@@ -23,7 +23,7 @@ class DecisionBatch(NamedTuple):
 
     Attributes:
         observation: Joint observations (B, D).
-        options: Options that were chosen or ran on, `NONE` for absent agents (B, N).
+        options: Chosen or continuing options; `NONE` for absent agents (B, N).
         choosing: Whether each agent chose (B, N).
         legal: Whether each option was legal (B, N, K).
     """
@@ -41,8 +41,8 @@ class DecisionBatch(NamedTuple):
 class Score(NamedTuple):
     """log pi-hat(o_U | o_not-U, s) and the entropy of pi-hat, both (B,).
 
-    The entropy is exact if joint options can be enumerated. Otherwise, and for a chain, it is that of the conditionals
-    along the chosen options, whose mean over draws is the entropy.
+    The entropy is exact if joint options can be enumerated. Otherwise, and for a chain, it is the sum over the
+    conditionals along the chosen options, an unbiased estimate.
     """
 
     log_prob: Tensor
@@ -50,7 +50,7 @@ class Score(NamedTuple):
 
 
 class Trunk(nn.Module):
-    """MAPPO's body: norm, then twice linear, ReLU, norm."""
+    """MAPPO's trunk: norm, then twice linear, ReLU, norm."""
 
     def __init__(self, inputs: int, hidden: int = HIDDEN) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ class Trunk(nn.Module):
 
 
 def orthogonal(inputs: int, outputs: int, gain: float) -> nn.Linear:
-    """Return a linear layer with orthogonal weights and zero bias."""
+    """Create a linear layer with orthogonal weights and zero bias."""
     layer = nn.Linear(inputs, outputs)
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.zeros_(layer.bias)
@@ -88,7 +88,7 @@ def allowed_cells(cells: Tensor, decisions: DecisionBatch, fixed: Tensor) -> Ten
 
 
 def taken_at(logs: Tensor, options: Tensor) -> Tensor:
-    """Return the entries (..., N) of logs (..., N, K) at options (..., N), 0 for `NONE` being as good as any."""
+    """Select the entries (..., N) of logs (..., N, K) at options (..., N); `NONE` selects option 0."""
     index = options.clamp(min=0).expand(logs.shape[:-1])
     return logs.gather(-1, index[..., None])[..., 0]
 
@@ -103,7 +103,7 @@ _KEEP = 0.99999
 
 
 class ValueNorm(nn.Module):
-    """Running mean and standard deviation of the targets so far, as in MAPPO; 0 and 1 before the first."""
+    """Running mean and standard deviation of the targets, as in MAPPO; initially 0 and 1."""
 
     mean: Tensor
     square: Tensor
@@ -115,7 +115,7 @@ class ValueNorm(nn.Module):
             self.register_buffer(name, torch.zeros(()))
 
     def count(self, targets: Tensor) -> Tensor:
-        """Update the statistics by targets (B,), and return the targets on the scale."""
+        """Update the statistics with targets (B,), and return the normalised targets."""
         with torch.no_grad():
             self.mean.mul_(_KEEP).add_((1.0 - _KEEP) * targets.mean())
             self.square.mul_(_KEEP).add_((1.0 - _KEEP) * (targets * targets).mean())
@@ -136,7 +136,7 @@ class ValueNorm(nn.Module):
 
 
 class ValueNetwork(nn.Module):
-    """V of the joint observation and the running options, which are part of the state with asynchronous options.
+    """Value function of the joint observation and the running options, part of the state with asynchronous options.
 
     Args:
         observation_size: Length D of the joint observation.
@@ -156,7 +156,7 @@ class ValueNetwork(nn.Module):
         self.scale = ValueNorm()
 
     def forward(self, observation: Tensor, running: Tensor) -> Tensor:
-        """Return values on the learnt scale (B,) for observations (B, D) and running options (B, N)."""
+        """Return normalised values (B,) for observations (B, D) and running options (B, N)."""
         marks = [
             nn.functional.one_hot(running[:, agent].clamp(min=0), count) * (running[:, agent, None] != NONE)
             for agent, count in enumerate(self.counts)

@@ -1,6 +1,6 @@
-"""The joint policies of `option_coordinator.policies.policy_file.HEADS` in torch, many decisions at once.
+"""The joint policies of `option_coordinator.policies.policy_file.HEADS` in torch, for batches of decisions.
 
-Their tensors carry the names that the NumPy policies know, so that both can share one memory: see `as_numpy`.
+Their tensors have the same names as in the NumPy policies, so both can share memory, see `as_numpy`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from option_coordinator.training.heads.head_parts import (
 
 RANK = 8
 COUNTABLE = 256
-"""Maximum number of joint options to enumerate for the entropy; a batch of these takes some 30 MB."""
+"""Maximum number of joint options enumerated for the entropy; such a batch takes some 30 MB."""
 
 
 class _Head(nn.Module):
@@ -43,7 +43,7 @@ class _Head(nn.Module):
 
 
 class TableHead(_Head):
-    """`option_coordinator.policies.network.JointTable`."""
+    """Torch version of `option_coordinator.policies.network.JointTable`."""
 
     cells: Tensor
     strides: Tensor
@@ -56,7 +56,7 @@ class TableHead(_Head):
         self.register_buffer("strides", torch.tensor(strides), persistent=False)
 
     def logits(self, observation: Tensor) -> Tensor:
-        """Return the table, flat (B, cells)."""
+        """Return the table, flattened (B, cells)."""
         return self.head(self.trunk(observation))
 
     def forward(self, decisions: DecisionBatch) -> Score:
@@ -68,7 +68,7 @@ class TableHead(_Head):
         return Score(logs.gather(1, self.cell(decisions.options)[:, None])[:, 0], entropy_of(logs, allowed))
 
     def cell(self, options: Tensor) -> Tensor:
-        """Return the index of joint options (B,); an absent agent counts as option 0."""
+        """Return the cell index of joint options (B,); absent agents count as option 0."""
         return (options.clamp(min=0) * self.strides).sum(dim=-1)
 
     def allowed(self, decisions: DecisionBatch) -> Tensor:
@@ -76,7 +76,7 @@ class TableHead(_Head):
         return allowed_cells(self.cells, decisions, decisions.options.clamp(min=0))
 
     def _without_absent(self, table: Tensor, decisions: DecisionBatch) -> Tensor:
-        """Sum out the absent agents' options; each of their options then holds the sum."""
+        """Marginalise out the absent agents' options; each of their options then has the sum."""
         absent = ~decisions.choosing & (decisions.options == NONE)
         if not absent.any():
             return table
@@ -88,7 +88,7 @@ class TableHead(_Head):
 
 
 class MixtureHead(_Head):
-    """`option_coordinator.policies.network.Mixture`."""
+    """Torch version of `option_coordinator.policies.network.Mixture`."""
 
     cells: Tensor | None
     option_mask: Tensor
@@ -117,7 +117,7 @@ class MixtureHead(_Head):
         return Score(log_prob, entropy_of(logs, allowed))
 
     def _given(self, decisions: DecisionBatch) -> tuple[Tensor, Tensor]:
-        """Return the weights (B, R) and factors (B, R, N, K), given what runs and what is legal; as logarithms."""
+        """Return the log weights (B, R) and log factors (B, R, N, K), given running and legal options."""
         x = self.trunk(decisions.observation)
         logits = x.new_full((len(x), self.rank, *self.option_mask.shape), NEVER)
         logits[:, :, self.option_mask] = self.head(x).view(len(x), self.rank, -1)
@@ -130,14 +130,14 @@ class MixtureHead(_Head):
         return torch.log_softmax(weights, dim=-1), legal - share[..., None]
 
     def _chain(self, weights: Tensor, factors: Tensor, taken: Tensor, decisions: DecisionBatch) -> Tensor:
-        """Return the sum of each choosing agent's entropy, given those before it (B,)."""
+        """Return the sum of each choosing agent's entropy, given the agents before it (B,)."""
         before = weights[..., None] + taken.cumsum(dim=-1) - taken
         links = (torch.log_softmax(before, dim=1)[..., None] + factors).logsumexp(dim=1)
         return (entropy_of(links, decisions.legal) * decisions.choosing).sum(dim=-1)
 
 
 class AutoregressiveHead(_Head):
-    """`option_coordinator.policies.network.Autoregressive`."""
+    """Torch version of `option_coordinator.policies.network.Autoregressive`."""
 
     def __init__(self, observation_size: int, counts: Sequence[int]) -> None:
         super().__init__(observation_size, counts)
@@ -168,13 +168,13 @@ class AutoregressiveHead(_Head):
         return Score(log_prob, entropy)
 
     def _share(self, options: Tensor, agent: int) -> Tensor:
-        """Return what a known option adds to the hidden layer (B, H); zero for absent agents."""
+        """Return the contribution of a known option to the hidden layer (B, H); zero for absent agents."""
         begin = sum(self.counts[:agent])
         return self.known.weight.T[begin + options.clamp(min=0)] * (options != NONE)[:, None]
 
 
 class PartialHeads(nn.ModuleList):
-    """`option_coordinator.policies.partial.Partial`: one head for each agent, by its own observation (Eq. 5.5)."""
+    """Torch version of `option_coordinator.policies.partial.Partial`: one head per agent, with its own observation."""
 
     def __init__(self, heads: Sequence[nn.Module], observation_sizes: Sequence[int]) -> None:
         super().__init__(heads)
@@ -203,9 +203,9 @@ _HEADS: Mapping[str, type[TableHead | MixtureHead | AutoregressiveHead]] = {
 
 
 def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presence: bool = False) -> nn.Module:
-    """Return an untrained joint policy of a kind, perhaps with `presence` in its observations.
+    """Create an untrained joint policy of a kind, optionally with `presence` in its observations.
 
-    Its weights come from torch's generator.
+    The weights are drawn from torch's global generator.
     """
     counts = [len(agent.options) for agent in agents]
     sizes = [agent.observation_size for agent in agents]
@@ -215,5 +215,5 @@ def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presenc
 
 
 def as_numpy(network: nn.Module) -> dict[str, NDArray[np.floating]]:
-    """Return a network's tensors in NumPy, sharing memory: they change as it learns."""
+    """Return a network's tensors as NumPy arrays that share memory and so change during learning."""
     return {name: tensor.detach().numpy() for name, tensor in network.state_dict().items()}

@@ -1,4 +1,4 @@
-"""Learners of joint options: their interface, the base of those that learn in minibatches, and imitation."""
+"""Learners of joint options: their interface, the base class of minibatch learners, and imitation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Learner(ABC):
         network: Network of the joint policy.
         networks: All networks by name, for checkpoints.
         optimizers: All optimisers by name, for checkpoints.
-        greedy: Whether the policy is used by its most likely options rather than by draws.
+        greedy: Whether to use the policy's most likely options rather than samples.
         settings: Settings of the algorithm, a dataclass.
     """
 
@@ -41,28 +41,28 @@ class Learner(ABC):
 
     @abstractmethod
     def behaviour(self, progress: float) -> JointPolicy:
-        """Return the behaviour policy of the next trajectory at some progress (0 to 1) of the run."""
+        """Return the behaviour policy of the next trajectory, given the run's progress (0 to 1)."""
 
     @abstractmethod
     def learn(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> dict[str, float]:
         """Learn from a trajectory and return metrics of the update."""
 
     def descend(self, loss: Tensor) -> None:
-        """Take an optimiser step on a loss, with each network's gradient clipped to `settings.gradient_norm`."""
+        """Take an optimiser step on a loss, clipping each network's gradient to `settings.gradient_norm`."""
         (optimizer,) = self.optimizers.values()
         clipped = [each for network in self.networks.values() if (each := list(network.parameters()))]
         gradient_step(optimizer, loss, *clipped, largest_norm=self.settings.gradient_norm)
 
     def memory(self) -> Arrays:
-        """Return the rest of the state as arrays, for checkpoints."""
+        """Return the remaining state as arrays, for checkpoints."""
         return {}
 
     def recall(self, arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - most have no further state
-        """Restore what `memory` returned."""
+        """Restore the state returned by `memory`."""
 
 
 def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> DecisionBatch:
-    """Return a trajectory's decisions as tensors; with `presence` observations include which agents are present."""
+    """Convert a trajectory's decisions to tensors; with `presence`, observations include the agents' presence."""
     seen = trajectory.observation
     return DecisionBatch(
         observation=as_tensor(with_presence(seen, trajectory.present) if presence else seen),
@@ -73,7 +73,7 @@ def decision_batch(trajectory: OptionTrajectory, presence: bool = False) -> Deci
 
 
 def as_tensor(array: NDArray[np.floating]) -> Tensor:
-    """Return an array as a tensor of torch's default type."""
+    """Convert an array to a tensor of torch's default type."""
     return torch.from_numpy(array).to(torch.get_default_dtype())
 
 
@@ -82,14 +82,14 @@ Rows = Tensor | slice
 
 
 class GradientLearner(Learner):
-    """Base of learners with one joint policy, which explores by its own draws, and one optimiser.
+    """Base class of learners with one optimiser and one joint policy, whose samples provide the exploration.
 
     Args:
         agents: Agents whose options are learned.
         head: Kind of joint policy, a key of `HEADS`.
-        partial: Whether each agent has a policy of its own (Eq. 5.5).
-        settings: Settings of the algorithm; the defaults unless given.
-        presence: Whether its networks are told which agents are present.
+        partial: Whether each agent has its own policy (Eq. 5.5).
+        settings: Settings of the algorithm; the default ones if omitted.
+        presence: Whether the networks observe which agents are present.
     """
 
     SETTINGS: ClassVar[type[Any]]
@@ -114,11 +114,11 @@ class GradientLearner(Learner):
         return self._policy
 
     def other_networks(self, agents: Sequence[Agent]) -> Mapping[str, nn.Module]:  # noqa: ARG002 - most have none
-        """Return the further networks that it learns, by name."""
+        """Return additional networks by name."""
         return {}
 
     def minibatches(self, steps: int, generator: np.random.Generator) -> Iterator[Rows]:
-        """Yield random parts of about `minibatch` rows, `epochs` times over all steps."""
+        """Yield random minibatches of about `minibatch` rows, `epochs` times over all steps."""
         count = round(steps / self.settings.minibatch)
         for _ in range(self.settings.epochs):
             if count <= 1:
@@ -134,7 +134,7 @@ class ImitationSettings:
 
     Attributes:
         learning_rate: Learning rate of Adam.
-        epochs: Number of passes over the data in a call of `learn`.
+        epochs: Number of passes over the data per call of `learn`.
         minibatch: Approximate number of option steps of a minibatch.
     """
 
@@ -144,7 +144,7 @@ class ImitationSettings:
 
 
 class Imitation(GradientLearner):
-    """Maximises log pi-hat(o_U | o_not-U, s) of the chosen options, whatever their reward."""
+    """Maximises log pi-hat(o_U | o_not-U, s) of the chosen options, regardless of reward."""
 
     SETTINGS = ImitationSettings
 

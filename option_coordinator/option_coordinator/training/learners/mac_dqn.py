@@ -1,8 +1,8 @@
 """Mac-DQN (thesis 5.3.4): double Q-learning of joint options, with the same network as the other methods.
 
-Acting and target alike maximise over the joint options that agree with what the others run. The published version has a
-recurrent network; this one, like the policies it is compared with, has none. Q is learnt on a running scale, like the
-others' V: in units of reward, a few thousand steps would not reach returns of 190.
+Both acting and the target maximise over the joint options that agree with the running ones. Unlike the published
+version, the network is not recurrent, as in the policies it is compared with. Q is normalised by running statistics,
+like V in the other methods; without this, a few thousand steps would not reach returns of 190.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from option_coordinator.training.learners.learner import Learner, as_tensor, dec
 
 
 class EpsilonGreedy(JointPolicy):
-    """The most likely options, or with probability epsilon any legal ones.
+    """Takes the most likely options or, with probability epsilon, random legal ones.
 
     Args:
-        policy: Policy whose most likely options are taken.
+        policy: Policy that provides the most likely options.
         epsilon: Probability of a random legal joint option instead, 0 to 1.
     """
 
@@ -45,7 +45,7 @@ class EpsilonGreedy(JointPolicy):
 
 
 class _EpsilonGreedyConditional(Conditional):
-    """See `EpsilonGreedy`."""
+    """Conditional distribution of `EpsilonGreedy`."""
 
     def __init__(self, policy: JointPolicy, query: PolicyQuery, epsilon: float) -> None:
         super().__init__(policy.counts, query)
@@ -73,17 +73,17 @@ class _EpsilonGreedyConditional(Conditional):
 
 @dataclass(frozen=True)
 class MacDqnSettings:
-    """The published settings, as far as they fit a network without memory.
+    """The published settings, as far as they apply to a non-recurrent network.
 
-    Batch and replay count option steps, about as many as the published 16 and 1000 episodes have. The discount is the
-    other methods', not 1, and the exploration is a fraction of the run, because runs differ in length.
+    Batch and replay sizes are in option steps, roughly equal to the published 16 and 1000 episodes. The discount is
+    that of the other methods instead of 1, and the exploration is a fraction of the run, because runs differ in length.
 
     Attributes:
         learning_rate: Learning rate of Adam.
-        batch: Number of option steps of an update.
-        replay: Number of option steps that are kept.
+        batch: Number of option steps per update.
+        replay: Capacity of the replay in option steps.
         update_samples: Number of low-level samples between two updates.
-        target_samples: Number of low-level samples between two copies of the network into the target.
+        target_samples: Number of low-level samples between target network updates.
         exploration: Fraction of the run over which epsilon falls from 1 to `epsilon_end`.
         epsilon_end: Value of epsilon after the exploration.
         huber: Error at which the loss turns linear, on the normalised scale.
@@ -106,7 +106,7 @@ class MacDqn(Learner):
 
     Args:
         agents: Agents whose options are learned.
-        settings: Settings of the algorithm; the defaults unless given.
+        settings: Settings of the algorithm; the default ones if omitted.
     """
 
     greedy = True
@@ -141,7 +141,7 @@ class MacDqn(Learner):
         return {"counts": np.array([self._samples, self._copied]), **replay}
 
     def recall(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Restore what `memory` returned."""
+        """Restore the state returned by `memory`."""
         self._samples, self._copied = (int(count) for count in arrays["counts"])
         self._replay.restore({n.removeprefix("replay."): a for n, a in arrays.items() if n.startswith("replay.")})
 
@@ -149,7 +149,7 @@ class MacDqn(Learner):
         """Store a trajectory and take one step on a batch from the replay.
 
         Returns:
-            `value_loss`, on the learnt scale.
+            `value_loss`, on the normalised scale.
         """
         self._replay.add(vars(trajectory))
         self._samples += int(trajectory.duration.sum())
@@ -171,7 +171,7 @@ class MacDqn(Learner):
         return {"loss": float(loss.detach()), "value_loss": float(loss.detach())}
 
     def _next_values(self, batch: OptionTrajectory) -> Tensor:
-        """Return the target's value of the network's next choice, given the running options [reward]."""
+        """Return the target network's value of the online network's next choice, given the running options [reward]."""
         following = decision_batch(batch)._replace(
             observation=as_tensor(batch.next_observation),
             options=torch.from_numpy(batch.next_running),

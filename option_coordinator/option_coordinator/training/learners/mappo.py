@@ -1,4 +1,4 @@
-"""Asynchronous option-based MAPPO: Algorithm 3 with the conditional policy in roll-out and update alike (Eq. 5.4)."""
+"""Asynchronous option-based MAPPO: Algorithm 3 with the conditional policy in both roll-out and update (Eq. 5.4)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from option_coordinator.training.learners.learner import GradientLearner, Rows, 
 
 @dataclass(frozen=True)
 class MappoSettings:
-    """The published settings, except for the minibatch, which was all data between updates in Water Filling.
+    """The published settings, except for the minibatch (in Water Filling, all data between updates).
 
     Attributes:
         learning_rate: Learning rate of policy and value.
         clip: Clipping range epsilon of the probability ratio.
         entropy: Coefficient of the entropy bonus.
         gae_lambda: Coefficient lambda of the generalised advantage estimate.
-        epochs: Number of passes over the data in an update.
+        epochs: Number of passes over the data per update.
         minibatch: Approximate number of option steps of a minibatch.
         huber: Error at which the value's loss turns linear, on the normalised scale.
         gradient_norm: Maximum norm of the gradient.
@@ -43,7 +43,7 @@ class MappoSettings:
 
 
 class Mappo(GradientLearner):
-    """Conditional MAPPO; with `partial`, one policy per agent (Eq. 5.5) but still one joint value."""
+    """Conditional MAPPO; with `partial`, one policy per agent (Eq. 5.5) but still one joint value function."""
 
     SETTINGS = MappoSettings
     ADAM_EPSILON = 1e-5
@@ -68,7 +68,7 @@ class Mappo(GradientLearner):
         return figures
 
     def learn_value(self, trajectory: OptionTrajectory, generator: np.random.Generator) -> None:
-        """Learn only the value of a trajectory, not the policy."""
+        """Learn only the value function from a trajectory, leaving the policy unchanged."""
         batch = self._batch(trajectory)
         for rows in self.minibatches(len(trajectory), generator):
             self.descend(self._value_loss(batch.at(rows)))
@@ -123,18 +123,18 @@ class _Batch(NamedTuple):
     returns: Tensor
 
     def at(self, rows: Rows) -> _Batch:
-        """Return the given rows."""
+        """Select rows."""
         decisions, *rest = self
         return _Batch(decisions.at(rows), *(part[rows] for part in rest))
 
 
 @dataclass(frozen=True)
 class WeightedImitationSettings(MappoSettings):
-    """Settings of weighted imitation, beside MAPPO's for the value.
+    """Settings of weighted imitation, in addition to MAPPO's for the value function.
 
     Attributes:
-        temperature: Advantage, in standard deviations, that multiplies a weight by e.
-        largest_weight: Limit of a weight.
+        temperature: Advantage, in standard deviations, that increases a weight by a factor of e.
+        largest_weight: Upper limit of a weight.
     """
 
     temperature: float = 0.5
@@ -142,11 +142,11 @@ class WeightedImitationSettings(MappoSettings):
 
 
 class WeightedImitation(Mappo):
-    """Maximises log pi-hat(o_U | o_not-U, s) of options, weighted by how much they exceeded the expected value.
+    """Maximises log pi-hat(o_U | o_not-U, s) of options, weighted by their advantage.
 
-    Cloning weighted by exp(advantage / temperature): Wang et al. 2018 (MARWIL), with the joint conditional policy in
-    place of a single agent's and gamma^tau in place of gamma. Whatever chose the options, the rewards in the bags say
-    which of them to keep.
+    Behaviour cloning weighted by exp(advantage / temperature): Wang et al. 2018 (MARWIL), with the joint conditional
+    policy in place of a single agent's and gamma^tau in place of gamma. The rewards in the bags select the options to
+    imitate, regardless of the policy that chose them.
     """
 
     SETTINGS = WeightedImitationSettings
@@ -155,7 +155,7 @@ class WeightedImitation(Mappo):
         """Learn from recorded options.
 
         Returns:
-            `log_prob` of the options, weighted, `entropy`, and `value_loss`, of the last minibatch.
+            Weighted `log_prob` of the options, `entropy` and `value_loss` of the last minibatch.
         """
         settings: WeightedImitationSettings = self.settings
         figures: dict[str, float] = {}
