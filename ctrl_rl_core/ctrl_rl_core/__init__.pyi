@@ -86,9 +86,9 @@ from .sensing.resampling import Sectors as Sectors
 from .sensing.scan import Scan as Scan
 from .sensing.scan import ScanError as ScanError
 from .sensing.scan import ScanGeometry as ScanGeometry
+from .sensing.scan import Sensors as Sensors
 from .sensing.scan import read_scan as read_scan
 from .sensing.scan_health import ScanHealth as ScanHealth
-from .sensing.sensors import Sensors as Sensors
 from .systems.models import SYSTEM_MODELS as SYSTEM_MODELS
 from .systems.models import Quantity as Quantity
 from .systems.models import SystemModel as SystemModel

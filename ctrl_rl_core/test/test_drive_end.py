@@ -1,7 +1,7 @@
 """A drive ends with the episode, or after the distance that the user allows."""
 
 import pytest
-from ctrl_rl_core.driving.arrival import ENDED, Arrival
+from ctrl_rl_core.driving.driver_node import ENDED, Arrival
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, ScanView, view_scan
+from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, ScanView, Sensors, view_scan
 from ctrl_rl_core.sensing.scan_health import ScanHealth, lidar_identity
-from ctrl_rl_core.sensing.sensors import Sensors
 
 Array = NDArray[np.float64]
 

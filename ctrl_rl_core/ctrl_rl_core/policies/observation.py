@@ -12,7 +12,7 @@ from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import COMMAND_NAMES, NamedPart, Part, PolicyManifest, ScanPart
 from ctrl_rl_core.sensing.odometry import OdometryReader
 from ctrl_rl_core.sensing.resampling import Sectors
-from ctrl_rl_core.sensing.sensors import Sensors
+from ctrl_rl_core.sensing.scan import Sensors
 from ctrl_rl_core.tasks.regions import wrap
 
 Array = NDArray[np.float64]

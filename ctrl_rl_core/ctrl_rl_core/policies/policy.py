@@ -29,8 +29,7 @@ from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
 from ctrl_rl_core.policies.observation import ObservationBuilder
 from ctrl_rl_core.sensing.odometry import make_odometry
-from ctrl_rl_core.sensing.scan import ScanGeometry
-from ctrl_rl_core.sensing.sensors import Sensors
+from ctrl_rl_core.sensing.scan import ScanGeometry, Sensors
 
 Array = NDArray[np.float64]
 GROUP = "ctrl_rl.policies"

@@ -21,7 +21,7 @@ from ctrl_rl_core.ros.node import COMMAND
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.running import run_node
 from ctrl_rl_core.sensing.pose import PoseError, planar, read_goal
-from ctrl_rl_core.sensing.sensors import Sensors
+from ctrl_rl_core.sensing.scan import Sensors
 from ctrl_rl_msgs.msg import EpisodeStatus
 
 Array = NDArray[np.float64]
