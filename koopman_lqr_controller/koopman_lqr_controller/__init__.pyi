@@ -28,7 +28,7 @@ from .policies.policy_file import load_policy as load_policy
 from .policies.policy_file import save_policy as save_policy
 from .policies.policy_file import shipped_policies as shipped_policies
 from .safety.guards import Guard as Guard
-from .safety.latent_distribution import LatentDistribution as LatentDistribution
-from .safety.latent_distribution import fit_distribution as fit_distribution
+from .safety.guards import LatentDistribution as LatentDistribution
+from .safety.guards import fit_distribution as fit_distribution
 from .sensing.lidar_observation import LidarObservation as LidarObservation
 from .sensing.observables import CorridorObservables as CorridorObservables

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from koopman_lqr_controller.control.latent_controller import FusedEncoder
 from koopman_lqr_controller.models.encoder import CentreCrop, Dense, Flatten, LayerNorm
-from koopman_lqr_controller.models.fused_encoder import FusedEncoder
 
 from koopman_lqr_controller import Encoder, KoopmanError
 

@@ -8,7 +8,7 @@ import pytest
 from ctrl_rl_core.io import encode_tensors, read_tensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
+from koopman_lqr_controller.safety.guards import fit_distribution_to_episodes
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 

@@ -15,7 +15,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import RegulatorFitter
 from koopman_lqr_controller.models.encoder import Dense
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
-from koopman_lqr_controller.safety.latent_distribution import fit_distribution_to_episodes
+from koopman_lqr_controller.safety.guards import fit_distribution_to_episodes
 
 SIZES = (4, 8, 16, 1000)
 """Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""

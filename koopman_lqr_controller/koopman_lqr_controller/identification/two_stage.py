@@ -17,7 +17,7 @@ from koopman_lqr_controller.models.edmd import Snapshots, fit, persistence_error
 from koopman_lqr_controller.models.identifiability import RegressionData, check_controls_move
 from koopman_lqr_controller.models.shrinkage import fit_with_shrinkage
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
-from koopman_lqr_controller.safety.latent_distribution import fit_distribution
+from koopman_lqr_controller.safety.guards import fit_distribution
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 _COMMANDS = ("the commanded speed", "the commanded turn rate")

@@ -15,7 +15,7 @@ from koopman_lqr_controller.control.linear_analysis import costs_of
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.policies.koopman_policy import TWO_STAGES, ClosedLoopModel, Decision, ObservationFn
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
+from koopman_lqr_controller.safety.guards import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 
 

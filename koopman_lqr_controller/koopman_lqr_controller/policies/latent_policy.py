@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanGeometry, Sectors
 from koopman_lqr_controller.arrays import Array
-from koopman_lqr_controller.control.latent_controller import LatentController
+from koopman_lqr_controller.control.latent_controller import FusedEncoder, LatentController
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.models.fused_encoder import FusedEncoder
 from koopman_lqr_controller.policies.koopman_policy import (
     CONSOLIDATED,
     LEARNT,
@@ -22,7 +21,7 @@ from koopman_lqr_controller.policies.koopman_policy import (
     Decision,
     ObservationFn,
 )
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, check_distribution
+from koopman_lqr_controller.safety.guards import LatentDistribution, check_distribution
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from ctrl_rl_core.io import Name, Positive, Schema, Tensors
 from pydantic import ConfigDict, Field, model_validator
 
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
+from koopman_lqr_controller.safety.guards import LatentDistribution
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 from koopman_lqr_controller.sensing.observables import CorridorObservables
 

@@ -22,7 +22,7 @@ from koopman_lqr_controller.data.roll_outs import (
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.identification.regulators import LARGEST_RESIDUAL
 from koopman_lqr_controller.models.prediction import horizon_errors
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution_to_episodes
+from koopman_lqr_controller.safety.guards import LatentDistribution, fit_distribution_to_episodes
 from koopman_lqr_controller.training.consolidation.consolidation_config import SEEDS, ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings, DistilledPolicy, distil
 

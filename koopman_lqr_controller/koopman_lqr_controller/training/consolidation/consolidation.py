@@ -30,7 +30,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.prediction import HORIZON, horizon_errors, law_error
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution
+from koopman_lqr_controller.safety.guards import LatentDistribution
 from koopman_lqr_controller.training.consolidation.candidate_search import Candidate, CandidateSearch, check_regulator
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.distillation import DistilledPolicy

@@ -18,7 +18,7 @@ from koopman_lqr_controller.data.roll_outs import Episode, count_interaction, ev
 from koopman_lqr_controller.models.prediction import horizon_errors, squared_error
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import digest, save_policy
-from koopman_lqr_controller.safety.latent_distribution import LatentDistribution, fit_distribution
+from koopman_lqr_controller.safety.guards import LatentDistribution, fit_distribution
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.consolidation.consolidation import consolidate_policy, load_latent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED, ConsolidationConfig
