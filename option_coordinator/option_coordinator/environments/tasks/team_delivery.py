@@ -37,7 +37,7 @@ class TeamDeliverySimulation:
         self._task = load_navigation_task(team.room_file)
         self._system = self._task.system.build()
         self._world = self._task.build_world()
-        self._outlines = np.concatenate([_outline(shape) for shape in (*self._world.walls, *self._world.obstacles)])
+        self._outlines = np.concatenate([outline(shape) for shape in (*self._world.walls, *self._world.obstacles)])
         self._planner = ReactivePlanner()
         self._rest = np.array([option.work is Work.REST for option in team.options.values()])
         self._longest = [option.longest for option in team.options.values()]
@@ -142,7 +142,7 @@ class TeamDeliverySimulation:
         return points[far < self._planner.look_ahead + _RADIUS]
 
 
-def _outline(shape: Shape) -> Array:
+def outline(shape: Shape) -> Array:
     """Return points (n, 2) on the edge of a shape [m]."""
     if isinstance(shape, Disc):
         angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * shape.radius / _SPACING)), endpoint=False)
@@ -159,4 +159,4 @@ def _outline(shape: Shape) -> Array:
     return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
 
 
-_ROBOT = _outline(Disc((0.0, 0.0), _RADIUS))
+_ROBOT = outline(Disc((0.0, 0.0), _RADIUS))
