@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from capabilities import capability_page
 from commands import command_page
 from messages import message_page
 from names import names_page
@@ -16,6 +17,7 @@ from readmes import package_pages
 from schemas import schema_page
 
 PAGES = {
+    "capabilities.md": capability_page,
     "commands.md": command_page,
     "parameters.md": parameter_page,
     "topics.md": topic_page,

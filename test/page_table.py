@@ -1,0 +1,199 @@
+"""What a test has to know of each page with shell commands: see `pages.Page`."""
+
+from pages import Page
+
+ROBOT = "a real robot, or a device of it"
+ROS = "an installed ROS 2, of which the wheels have no tool but `ros2 run`"
+ROOT = "the rights of root"
+NETWORK = "the internet: packages or data from elsewhere"
+MACHINES = "a second computer"
+HOURS = "hours of a computer, and has no smaller budget"
+ITSELF = "this very test, or all others"
+CHANGES = "an environment that may be changed or built anew"
+REASONS = (ROBOT, ROS, ROOT, NETWORK, MACHINES, HOURS, ITSELF, CHANGES)
+"""Why a command is not run: it needs one of these."""
+
+_BRIDGE = "ros2 run sim_bridge bridge --ros-args -p task:="
+_DRIVES = "ros2 run ctrl_rl_bringup record_drives --episodes 3 --speed 8 --output runs/drives\n"
+_LOOP = "ros2 run ctrl_rl_trials loop --folder runs/first"
+_KOOPMAN = "--seeds 1 --samples 1000 --actions 500 --episodes 1 --consolidation 2"
+
+
+def _robot(task: str) -> str:
+    """Return the shell line that starts a simulated robot in a task."""
+    return f"terminal bridge '{_BRIDGE}{task}'\n"
+
+
+PAGES = {
+    "CONTRIBUTING.md": Page(
+        0.0,
+        skipped={"make build ": CHANGES, "make lint ": ITSELF, "make test ": ITSELF, "make docs ": NETWORK},
+    ),
+    "README.md": Page(60.0, skipped={"pip install": NETWORK, "make test ": ITSELF}),
+    "docs/bags.md": Page(
+        60.0,
+        before=_robot("curved_corridor")
+        + "ros2 run ctrl_rl_bringup record_drives --episodes 2 --speed 8 --output runs/corridor\n",
+        between={"ros2 run ctrl_rl_bags recorder": "sleep 5; stop 'ctrl_rl_bags recorder'"},
+        skipped={"ros2 run option_coordinator train": HOURS},
+    ),
+    "docs/explanation/ladder.md": Page(
+        300.0,
+        smaller={"ros2 run ctrl_rl_trials train": "--samples 2048"},
+        skipped={"make ladder ": HOURS},
+    ),
+    "docs/few_frames.md": Page(
+        600.0,
+        smaller={
+            "$train ": "--seeds 1 --samples 1000 --consolidation 0 --episodes 1",
+            "ros2 run koopman_lqr_controller train": "--seeds 1 --samples 1000 --consolidation 0 --episodes 1",
+        },
+    ),
+    "docs/howto/any_policy.md": Page(
+        600.0,
+        before=_robot("car_ttr")
+        + "mkdir -p runs/mine && cp $(python -c 'import ctrl_rl_core.policies as p; print(p.__path__[0])')"
+        + "/pretrained/car_ttr.safetensors runs/mine/policy.safetensors\n",
+        smaller={
+            "ros2 run ctrl_rl_learning teach": "--seeds 1 --samples 4000",
+            "ros2 run ctrl_rl_bringup transfer": "--seeds 1",
+        },
+        skipped={
+            "ros2 run ctrl_rl_core policy --ros-args -p policy:=drlnav.onnx": NETWORK,
+            "ros2 param ": ROS,
+            "ros2 topic ": ROS,
+            "python -m pip": NETWORK,
+        },
+    ),
+    "docs/howto/barn.md": Page(0.0, skipped={"git clone": NETWORK, "ros2 run ctrl_rl_trials barn": NETWORK}),
+    "docs/howto/datasets.md": Page(40.0, before=_DRIVES, skipped={"python -m pip": NETWORK}),
+    "docs/howto/installed_ros.md": Page(0.0, skipped={"source /opt/ros": ROS}),
+    "docs/howto/learn_offline.md": Page(
+        900.0,
+        before=f"{_LOOP} --seeds 1 --rounds 1 --tests 1 --updates 1\n"
+        "mkdir -p runs/drives && cp -r runs/first/car_navigation-value_model-s0/round_0/bag runs/drives/bag\n"
+        + _robot("car_navigation"),
+        smaller={
+            "ros2 run ctrl_rl_trials loop": "--seeds 1 --rounds 1 --episodes 10 --tests 5 --updates 200",
+            "ros2 run option_coordinator loop": "--seeds 1 --rounds 1 --tests 5",
+            "ros2 run ctrl_rl_trials correlation": "--seeds 1 --episodes 10 --tests 2",
+        },
+    ),
+    "docs/howto/many_machines.md": Page(
+        0.0,
+        skipped={"python -m pip": NETWORK, "ray ": MACHINES, "ros2 run option_coordinator train": MACHINES},
+    ),
+    "docs/howto/navigate.md": Page(
+        120.0,
+        smaller={"ros2 run ctrl_rl_navigation trials": "--goals 1"},
+        skipped={
+            "ros2 run nav2_map_server": ROBOT,
+            "ros2 launch": ROS,
+            "ros2 run sim_bridge bridge &\nros2 launch": ROS,
+            "ros2 service": ROS,
+        },
+    ),
+    "docs/howto/own_driver.md": Page(60.0, before=_robot("curved_corridor"), files={"gap.py": 0, "gap_node.py": 1}),
+    "docs/howto/own_robot.md": Page(
+        300.0,
+        before="""
+maps=$(python -c 'import ctrl_rl_navigation.maps as maps; print(maps.__path__[0])')
+cp "$maps"/maze.yaml office.yaml; cp "$maps"/maze.pgm .
+sed 's/name: .*/name: courier_room/; s/body: .*/body: courier.yaml/' \
+  "$(python -c 'from ctrl_rl_core import task_file; print(task_file("curved_corridor"))')" > courier_room.yaml
+export PYTHONPATH=$PWD/packages:$PYTHONPATH
+"""
+        + _robot("courier_room.yaml"),
+        files={"courier.yaml": 0},
+        between={
+            "ros2 run ctrl_rl_navigation navigator": "stop 'ctrl_rl_navigation navigator'",
+            "ros2 run ctrl_rl_safety safety_filter": "stop 'ctrl_rl_safety safety_filter'",
+        },
+        smaller={
+            "ros2 run ctrl_rl_navigation trials": "--goals 1",
+            "pip install": "--no-deps --no-build-isolation --target packages",
+            "ros2 run ctrl_rl_trials train": "--samples 2048",
+        },
+    ),
+    "docs/howto/real_robot.md": Page(
+        30.0, before=_robot("curved_corridor"), skipped={"ros2 launch turtlebot3": ROBOT, "ros2 launch": ROS}
+    ),
+    "docs/howto/robot_learning.md": Page(
+        300.0,
+        before="""
+mkdir mine && cp "$(python -c 'from ctrl_rl_core import task_file; print(task_file("car_ttr"))')" mine/car_ttr.yaml
+cp "$(python -c 'import ctrl_rl_core.robots as robots; print(robots.__path__[0])')"/turtlebot2.yaml mine.yaml
+sed -i 's/^name: .*/name: mine/' mine.yaml
+"""
+        + _robot("mine/car_ttr.yaml"),
+        smaller={
+            "ros2 run ctrl_rl_learning fine_tune": "--minutes 0.3 --starts simulator",
+            "ros2 run ctrl_rl_trials shift_study": "--seeds 1",
+        },
+        skipped={"ros2 run teleop_twist_keyboard": ROBOT},
+    ),
+    "docs/howto/safe_sets.md": Page(200.0),
+    "docs/howto/safety_filter.md": Page(
+        300.0,
+        before=_robot("curved_corridor"),
+        between={"ros2 run ctrl_rl_core watchdog": "stop_all\n" + _robot("quad_ttr")},
+        skipped={"ros2 launch": ROS},
+    ),
+    "docs/howto/safety_measure.md": Page(
+        900.0,
+        before=_robot("car_navigation"),
+        between={"ros2 run ctrl_rl_bags recorder": "python test/drive_about.py; stop 'ctrl_rl_bags recorder'"},
+        smaller={
+            "ros2 run ctrl_rl_safety trials": "--episodes 1",
+            "ros2 run ctrl_rl_safety train": "--seeds 1 --samples 2048",
+        },
+    ),
+    "docs/howto/shell.md": Page(1.0),
+    "docs/index.md": Page(60.0, skipped={"make test ": ITSELF}),
+    "docs/installation.md": Page(0.0, skipped={"pip install": NETWORK, "sudo ": ROOT}),
+    "docs/security.md": Page(0.0, skipped={"export ROS_AUTOMATIC": MACHINES, "ros2 security create_keystore": ROS}),
+    "docs/tutorials/bag_to_policy.md": Page(120.0),
+    "docs/tutorials/burger_guide.md": Page(
+        240.0,
+        skipped={
+            "# robot\nsudo apt": ROOT,
+            "# robot (on the computer": ROBOT,
+            "# robot and computer": ROBOT,
+            "# robot\nros2 launch turtlebot3": ROBOT,
+            "# robot\nros2 run twist_mux": ROBOT,
+            "# computer: which command": ROS,
+            "# robot; where twist_mux": ROBOT,
+        },
+    ),
+    "docs/tutorials/first_drive.md": Page(120.0),
+    "docs/tutorials/own_corridor.md": Page(120.0),
+    "docs/tutorials/own_system.md": Page(25.0),
+    "docs/tutorials/own_team.md": Page(180.0),
+    "docs/tutorials/train_compare_plot.md": Page(180.0),
+    "koopman_lqr_controller/README.md": Page(
+        1500.0,
+        before="ros2 run ctrl_rl_bringup record_drives --episodes 6 --speed 8 --output runs/drives\n"
+        "sed 's/name: .*/name: mine/' "
+        '"$(python -c \'from ctrl_rl_core import task_file; print(task_file("curved_corridor"))\')" > mine.yaml\n'
+        + _robot("curved_corridor"),
+        smaller={
+            "ros2 run koopman_lqr_controller train": _KOOPMAN,
+            "ros2 run koopman_lqr_controller compare": _KOOPMAN,
+            ".venv/bin/python test/stops.py": "--starts 1",
+            "ros2 run ctrl_rl_bringup trials": "--seeds 1 --at-least 0",
+        },
+        skipped={
+            "ros2 launch turtlebot3": ROBOT,
+            "ros2 topic ": ROS,
+            "ros2 param ": ROS,
+            "make koopman ": HOURS,
+        },
+    ),
+    "option_coordinator/README.md": Page(
+        600.0,
+        before="",
+        smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 50000 --evaluations 2"},
+        skipped={"ros2 launch": ROS, "ros2 param ": ROS},
+    ),
+    "ttr_reward_node/README.md": Page(60.0, before=_robot("car_ttr"), skipped={"make ttr ": HOURS}),
+}
