@@ -20,7 +20,7 @@ from ctrl_rl_core import parse_options, run_command
 
 _LONGEST_VALUE = 20_000
 _MB = 20
-"""Bits of a megabyte."""
+"""Left shift that converts megabytes to bytes."""
 
 
 def _remap(text: str) -> tuple[str, str]:
@@ -51,7 +51,7 @@ _Remaps = Annotated[tuple[tuple[str, str], ...], checked_list(_remap, "OLD:=NEW"
 
 @dataclass(frozen=True, kw_only=True)
 class _Reading:
-    """Options of the commands that read a bag."""
+    """Options of commands that read a bag."""
 
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     """Folder of the bag, or one .mcap file."""
@@ -66,7 +66,7 @@ class Info(_Reading):
 
 @dataclass(frozen=True, kw_only=True)
 class Recover(_Reading):
-    """Copy what is readable of a bag that was cut off into a new one; the bag itself is only read."""
+    """Copy the readable part of an incomplete bag to a new bag; the original is only read."""
 
     output: Annotated[str | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recovered bag; by default FOLDER_recovered."""
@@ -74,7 +74,7 @@ class Recover(_Reading):
 
 @dataclass(frozen=True, kw_only=True)
 class Play(_Reading):
-    """Publish the messages of a bag, in their order and rhythm, with the recorded QoS."""
+    """Publish the messages of a bag in the recorded order and timing, with the recorded QoS."""
 
     rate: float = 1.0
     """Speed as a multiple of the recording's."""
@@ -83,11 +83,11 @@ class Play(_Reading):
     remap: _Remaps = ()
     """New names of topics."""
     loop: bool = False
-    """Start again at the end, until Ctrl-C."""
+    """Restart at the end, until Ctrl-C."""
     clock: bool = False
     """Publish the bag's time on /clock at 100 Hz."""
     start_offset: float = 0.0
-    """Time to skip at the beginning of the bag [s]."""
+    """Time to skip at the start of the bag [s]."""
     wait_for_subscribers: float = 1.0
     """Maximum time to wait for a subscriber on every topic [s]."""
 
@@ -102,7 +102,7 @@ _Command = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code: 0 done, 1 failed, 2 wrong usage."""
+    """Run the command and return its exit code: 0 success, 1 failure, 2 wrong usage."""
     about = "Inspect, recover and play bags, and make datasets of them."
     options: Info | Recover | Play | Export | Import = parse_options("bag", _Command, arguments, about)
     match options:

@@ -1,7 +1,7 @@
-"""Turns bags into time-aligned arrays: several topics sampled at the times of one of them, or at a fixed rate.
+"""Converts bags to time-aligned arrays: several topics sampled at the times of one of them, or at a fixed rate.
 
 sequences = align("runs/office", ["/scan", "/odom", "/cmd_vel"], reference="/scan", max_step=0.5, max_age=0.2)
-for sequence in sequences:  # no sequence reaches across a gap, a jump of the odometry, a reset, or two bags
+for sequence in sequences:  # no sequence spans a gap, an odometry jump, a reset, or two bags
     scans, odometry, commands = (sequence.values[topic] for topic in ("/scan", "/odom", "/cmd_vel"))
 """
 
@@ -26,13 +26,13 @@ _MOST_ROWS = 100_000_000
 
 @dataclass(frozen=True)
 class AlignedSamples:
-    """One sequence without a gap.
+    """One gapless sequence of samples.
 
     Attributes:
-        times: Times of the rows (n,) [ns], rising.
-        values: Samples by topic (n, columns), or objects (n,); NaN or None where there is no sample yet.
-        ages: Time to the sample that was used, by topic (n,) [s]; for `linear` to the farther of two; infinite if
-            there is none. Mask stale data by it.
+        times: Times of the rows (n,) [ns], increasing.
+        values: Samples by topic (n, columns), or objects (n,); NaN or None before the first sample.
+        ages: Age of the sample used, by topic (n,) [s]; for `linear`, of the farther of the two; infinite without a
+            sample. Use it to mask stale data.
     """
 
     times: NDArray[np.int64]
@@ -44,7 +44,7 @@ class AlignedSamples:
 
     @property
     def seconds(self) -> NDArray[np.float64]:
-        """Times since the first (n,) [s]."""
+        """Times since the first row (n,) [s]."""
         return np.asarray((self.times - self.times[:1]) * 1e-9, dtype=np.float64)
 
     def rows(self, index: slice | NDArray[Any]) -> AlignedSamples:
@@ -58,12 +58,12 @@ class AlignedSamples:
     def split(
         self, max_step: float = np.inf, max_age: float = np.inf, cuts: NDArray[np.bool_] | None = None
     ) -> list[AlignedSamples]:
-        """Drop rows with a sample older than `max_age` [s]; cut there and at steps above `max_step` [s].
+        """Drop rows with a sample older than `max_age` [s]; split there and at steps above `max_step` [s].
 
         Args:
             max_step: Maximum step between two rows of a piece [s].
             max_age: Maximum age of a sample [s].
-            cuts: Further steps to cut at (n - 1,).
+            cuts: Further steps at which to split (n - 1,).
         """
         keep = np.ones(len(self), dtype=np.bool_)
         for ages in self.ages.values():
@@ -89,18 +89,18 @@ def align(
     """Sample several topics of one or more bags at common times.
 
     Args:
-        bags: Bags or paths of bags; no sequence reaches across two.
-        topics: Names, or names with the extractors of their messages (default: `EXTRACTORS` by type).
-        reference: Topic at whose times all others are sampled, or a rate [Hz].
-        methods: Method by topic: `previous` sample held (the default), `nearest`, or `linear` (numbers only).
-        clock: `header` for message stamps, to whose clock the log times of topics without stamps are converted; `log`
-            for the times of reception.
-        max_step: Maximum step between two rows of a sequence [s]; a longer one starts a new sequence.
-        max_age: Maximum age of a sample [s]; rows with an older one are left out. Infinite keeps all rows.
-        tell: Called with a line about what is left out or where a drive is cut; a Python warning by default.
+        bags: Bags or paths of bags; no sequence spans two.
+        topics: Topic names, or names with message extractors (default: `EXTRACTORS` by type).
+        reference: Topic that provides the sample times of all others, or a rate [Hz].
+        methods: Method by topic: `previous` holds the last sample (default), `nearest`, or `linear` (numbers only).
+        clock: `header` for message stamps (log times of topics without stamps are converted to their clock); `log` for
+            reception times.
+        max_step: Maximum step between two rows of a sequence [s]; a longer step starts a new sequence.
+        max_age: Maximum age of a sample [s]; rows with an older sample are dropped. Infinite keeps all rows.
+        tell: Called with a line about each omission or split; a Python warning by default.
 
     Returns:
-        The sequences in the order of the bags, each without a gap, a jump of the odometry or a reset of the clock.
+        The sequences in bag order, each without a gap, an odometry jump or a clock reset.
 
     Raises:
         BagError: A bag cannot be read or lacks a topic, a topic's type has no extractor, or two clocks differ.
@@ -138,10 +138,10 @@ def align(
 
 
 def _sample_times(run: Mapping[str, TimeSeries], reference: str | float, max_age: float) -> NDArray[np.int64]:
-    """Return the times of a topic, or of a rate without the gaps in which a sample would be too old.
+    """Return the times of a topic, or those of a rate except for gaps in which a sample would be too old.
 
     Raises:
-        BagError: The rate asks for too many rows.
+        BagError: The rate gives too many rows.
     """
     if isinstance(reference, str):
         return run[reference].times

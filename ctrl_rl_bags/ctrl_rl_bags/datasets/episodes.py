@@ -27,9 +27,9 @@ from ctrl_rl_bags.datasets.frames import (
 )
 
 TIMEOUT = 4
-"""Outcome of an episode that hit its step limit, as in ctrl_rl_msgs/TaskOutcome."""
+"""Outcome of an episode that reached its step limit, as in ctrl_rl_msgs/TaskOutcome."""
 PIECE = 1000
-"""Frames that are held in memory."""
+"""Number of frames held in memory."""
 _PIECE_BYTES = 64 << 20
 
 
@@ -38,13 +38,13 @@ class Step(NamedTuple):
 
     Attributes:
         stamp: Time in the scan's header [ns].
-        time: When the scan was received [ns].
+        time: Reception time of the scan [ns].
         scan: Ranges (beams,) [m].
         odometry: Pose and twist (13,).
-        goal: Position and attitude of the goal (7,), NaN without one.
-        image: Picture (height, width, 3), None without a camera.
-        command: Last command (2,), None where there is no recent one.
-        reward: Last reward, NaN without one.
+        goal: Position and attitude of the goal (7,); NaN without a goal.
+        image: Image (height, width, 3); None without a camera.
+        command: Last command (2,); None without a recent one.
+        reward: Last reward; NaN without a reward.
         outcome: Outcome as in ctrl_rl_msgs/TaskOutcome.
     """
 
@@ -63,7 +63,7 @@ class EpisodeFrames:
     """Collects the steps of an episode and yields its frames in pieces.
 
     Attributes:
-        left_out: Scans in no frame, because no command followed them.
+        left_out: Number of scans in no frame because no command followed.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -77,12 +77,12 @@ class EpisodeFrames:
         self._count = 0
 
     def __len__(self) -> int:
-        """Return the number of frames of the episode so far."""
+        """Return the number of frames in the episode so far."""
         return self._count
 
     @property
     def time(self) -> int | None:
-        """When the last scan was received [ns]; None before the first."""
+        """Reception time of the last scan [ns]; None before the first."""
         return self._steps[-1].time if self._steps else None
 
     def add(self, step: Step) -> Iterator[Frames]:
@@ -102,7 +102,7 @@ class EpisodeFrames:
             self._steps, self._done = kept
 
     def end(self) -> Iterator[Frames]:
-        """End the episode; yield its remaining frames, none if it had no transition."""
+        """End the episode and yield its remaining frames; none if it had no transition."""
         if self._done:
             yield self._frames(last=True)
         else:
@@ -110,7 +110,7 @@ class EpisodeFrames:
         self._steps, self._done, self._count = [], [], 0
 
     def _frames(self, *, last: bool) -> Frames:
-        """Return one frame per transition, plus a last one at the end of the episode."""
+        """Return one frame per transition, plus a final one at the end of the episode."""
         steps = self._steps if last else self._steps[:-1]
         done = [*self._done, (self._done[-1][0], np.nan, 0)] if last else self._done
         odometry = np.array([step.odometry for step in steps])

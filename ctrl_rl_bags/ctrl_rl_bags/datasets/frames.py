@@ -17,7 +17,7 @@ from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_core import ScanGeometry
 
 LARGEST_INFO = 16_000_000
-"""Bytes of a dataset's description in JSON."""
+"""Maximum size of a dataset's JSON description [bytes]."""
 
 
 class DatasetError(BagError):
@@ -25,7 +25,7 @@ class DatasetError(BagError):
 
 
 MEMORY = 1 << 30
-"""Memory for reading a dataset, besides a multiple of its size [bytes]."""
+"""Memory limit for reading a dataset, in addition to a multiple of its size [bytes]."""
 
 
 CommandType = Literal["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "ctrl_rl_msgs/msg/RotorThrusts"]
@@ -34,7 +34,7 @@ COMMAND_TYPES: Mapping[str, tuple[str, str]] = {
     "geometry_msgs/msg/TwistStamped": ("v", "omega"),
     "ctrl_rl_msgs/msg/RotorThrusts": ("T_1", "T_2"),
 }
-"""Names of the action's components by the type of the command: [m/s], [rad/s], or [N]."""
+"""Names of the action's components by command type: [m/s], [rad/s], or [N]."""
 GOAL_NAMES = ODOMETRY_NAMES[:7]
 STATE_NAMES = ("x", "y", "theta", "v", "omega")
 SCAN, ODOMETRY, STATE = "observation.scan", "observation.odometry", "observation.state"
@@ -61,26 +61,26 @@ class ScanLayout(Schema):
 
 
 class ImageLayout(Schema):
-    """Size of all pictures [pixels]; three colours, red first."""
+    """Size of all images [pixels]; three channels in RGB order."""
 
     height: Annotated[int, Field(ge=1, le=_LARGEST_IMAGE)]
     width: Annotated[int, Field(ge=1, le=_LARGEST_IMAGE)]
 
 
 class Layout(Schema):
-    """What all frames of a dataset share.
+    """Properties shared by all frames of a dataset.
 
     Attributes:
         format: Version of the layout.
-        command: Type of the messages that actions come from.
-        command_topic: Name of their topic.
+        command: Type of the command messages.
+        command_topic: Topic of the command messages.
         scan: Bearings and limits of the scans.
-        image: Size of the pictures; None without a camera.
+        image: Size of the images; None without a camera.
         goal: Whether goals were recorded.
         reward: Whether rewards were recorded.
         task: Name of the task.
-        period: Median time from frame to frame [s].
-        digests: Digests that the bags keep: of task, policy, value functions.
+        period: Median time between frames [s].
+        digests: Digests stored in the bags: task, policy, value functions.
     """
 
     format: Literal["frames-1"] = "frames-1"
@@ -96,7 +96,7 @@ class Layout(Schema):
 
     @property
     def columns(self) -> dict[str, Column]:
-        """The columns of a frame, by name."""
+        """Columns of a frame, by name."""
         image = self.image
         columns = {
             SCAN: Column("float32", (self.scan.beams,), "beam"),
@@ -119,34 +119,34 @@ class Layout(Schema):
 
     @property
     def rate(self) -> float:
-        """Frames per second, rounded to a whole number if close to one."""
+        """Frames per second, rounded to an integer if close to one."""
         rate = 1.0 / self.period
         return float(round(rate)) if rate >= 1.0 and abs(rate / round(rate) - 1.0) < 0.02 else round(rate, 6)
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of frames: type and shape of a value, and names of its components."""
+    """A column of frames: type and shape of a value, and component names."""
 
     dtype: str
     shape: tuple[int, ...] = ()
     names: tuple[str, ...] | str = ()
 
     def fits(self, values: NDArray[np.generic]) -> bool:
-        """Return whether an array holds such values, one per row."""
+        """Return whether an array has values of this column, one per row."""
         return values.dtype == np.dtype(self.dtype) and values.shape[1:] == self.shape
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Consecutive frames of one episode; each row is a scan, what was known at its time, and what was done.
+    """Consecutive frames of one episode; each row has a scan, the data known at its time, and the action.
 
-    The last frame of an episode is only an observation: its action repeats the previous one, its reward is NaN.
+    The last frame of an episode is only an observation: its action repeats the previous one, and its reward is NaN.
 
     Attributes:
         columns: Arrays by the names of `Layout.columns`, each (n, ...).
-        episode: Number of the episode in the dataset.
-        source: Number of the bag.
+        episode: Index of the episode in the dataset.
+        source: Index of the bag.
         last: Whether the episode ends with these frames.
     """
 
@@ -170,20 +170,20 @@ def whole_episodes(frames: Iterable[Frames]) -> Iterator[tuple[Frames, Mapping[s
 
 
 def times_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-    """Return the times of an episode's frames (n,) [ns]: stamps, or log times where stamps do not rise."""
+    """Return the times of an episode's frames (n,) [ns]: stamps, or log times if stamps do not increase."""
     stamps: NDArray[np.int64] = columns[STAMP]
     return stamps if (np.diff(stamps) > 0).all() else columns[LOG_TIME]
 
 
 def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return x, y, theta, v, omega (n, 5) of odometry (n, 13), in its frame and the body's (REP-103)."""
+    """Convert odometry (n, 13) to x, y, theta, v, omega (n, 5), in its own frame and the body frame (REP-103)."""
     x, y, _, q_x, q_y, q_z, q_w, v = odometry.T[:8]
     yaw = np.arctan2(2.0 * (q_w * q_z + q_x * q_y), 1.0 - 2.0 * (q_y * q_y + q_z * q_z))
     return np.stack((x, y, yaw, v, odometry[:, 12]), axis=1).astype(np.float32)
 
 
 def is_usable(numbers: NDArray[np.float64]) -> bool:
-    """Return whether physical quantities are finite and not absurdly large."""
+    """Return whether physical quantities are finite and plausible in size."""
     return bool((np.abs(numbers) < 1e30).all())  # False of NaN
 
 
@@ -196,10 +196,10 @@ def own_info(layout: Layout, sources: Sequence[str]) -> dict[str, Any]:
 
 
 def read_own_info(file: Path) -> Mapping[str, Any]:
-    """Return layout and sources from a dataset's JSON file.
+    """Read layout and sources from a dataset's JSON file.
 
     Raises:
-        DatasetError: It has none.
+        DatasetError: The file has neither.
     """
     content = parse_json(as_text(read_bytes(file, LARGEST_INFO)))
     own = content.get(_KEY) if isinstance(content, dict) else None

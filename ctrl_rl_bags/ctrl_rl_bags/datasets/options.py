@@ -1,4 +1,4 @@
-"""Options of all commands that read drives from bags, and the topics that they choose."""
+"""Options of all commands that read drives from bags, and topic selection."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _COMMANDS = ("cmd_vel", "rotor_thrusts")
 
 @dataclass(frozen=True)
 class ExtractionOptions:
-    """What to extract from bags.
+    """Selects the data to extract from bags.
 
     Attributes:
-        robot: Namespace of the topics; none where it is empty.
-        scan: Topic of the scans, below the robot's namespace; absolute with a / in front, as the others.
+        robot: Namespace of the topics; may be empty.
+        scan: Topic of the scans, relative to the robot's namespace unless it starts with /, as for the other topics.
         odometry: Topic of the odometry.
-        commands: Topic of the commands; `cmd_vel`, or else `rotor_thrusts`, where it is empty.
+        commands: Topic of the commands; if empty, `cmd_vel` or else `rotor_thrusts`.
         image: Topic of the camera.
-        task: Name of the task; empty for what the bag's parameters say.
-        beams: Number of beams that scans are brought to; None for that of the first scan.
-        clock: `header` for the messages' stamps; `log` for the times of reception, on the clock of the scans.
-        period: Length of a step [s]; None for a step from each scan to the next.
-        even: Whether to cut a drive at steps of another length.
+        task: Name of the task; if empty, from the bag's parameters.
+        beams: Number of beams to which scans are resampled; None for that of the first scan.
+        clock: `header` for message stamps; `log` for reception times, on the clock of the scans.
+        period: Step length [s]; None for one step per scan.
+        even: Whether to split a drive at steps of another length.
     """
 
     robot: str = ""
@@ -68,7 +68,7 @@ class ExtractionOptions:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Topics of a drive by role, and the type of its commands."""
+    """Topics of a drive by role, and the command type."""
 
     topics: dict[str, str]
     command: str
@@ -79,7 +79,7 @@ def find_topics(bag: Bag, options: ExtractionOptions) -> Wiring:
     """Find a drive's topics in a bag.
 
     Raises:
-        BagError: There are no scans, odometry or commands.
+        BagError: Scans, odometry or commands are missing.
     """
     topics = {name: options.topic(name) for name in _TYPES}
     there = {
@@ -97,13 +97,13 @@ def find_topics(bag: Bag, options: ExtractionOptions) -> Wiring:
 
 
 def _missing(bag: Bag, topic: str, option: str, *kinds: str) -> str:
-    """Name a missing topic, its type, and an option that names another one."""
+    """Describe a missing topic, its type, and the option that selects another one."""
     others = [printable(name) for name, each in sorted(bag.topics.items()) if each.type in kinds]
     return f"{topic} ({', '.join(kinds)}{f': {option} {others[0]}' if others else ''})"
 
 
 def find_task(bag: Bag) -> str:
-    """Return the task that a recorded node had as a parameter."""
+    """Return the task given by a recorded node's parameter."""
     for key, text in sorted(bag.info.custom_data.items()):
         if key.startswith("parameters."):
             with suppress(ValueError, AttributeError):
@@ -114,18 +114,18 @@ def find_task(bag: Bag) -> str:
 
 
 TASK_DIGEST = "digest.task"
-"""Key in a bag's custom data under which the recorder keeps the task's digest."""
+"""Key of the task digest in a bag's custom data."""
 _SHOWN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """Which topics, beams and clock to take from bags."""
+    """Selects topics, beams and clock of bags."""
 
     robot: str = ""
-    """Namespace of the topics in the bags; none unless given."""
+    """Namespace of the topics in the bags; none by default."""
     scan: str = "scan"
-    """Topic of the scans, in the namespace unless it begins with /."""
+    """Topic of the scans, in the namespace unless it starts with /."""
     odometry: str = "odom"
     """Topic of the odometry."""
     commands: str = ""
@@ -133,10 +133,10 @@ class DriveOptions:
     beams: at_least(1) | None = None  # type: ignore[valid-type]
     """Number of beams to resample all scans to; by default that of the first scan."""
     clock: Annotated[Clock, one_of(get_args(Clock))] = "header"
-    """Time of messages: header for their stamps, log for the times of reception."""
+    """Time of messages: header for their stamps, log for reception times."""
 
     def extraction(self, **more: Any) -> ExtractionOptions:
-        """Return the options of `extract`, with `more` of them."""
+        """Return the options for `extract`, including those in `more`."""
         return ExtractionOptions(
             robot=self.robot,
             scan=self.scan,
@@ -159,15 +159,15 @@ class TaskDriveOptions(DriveOptions):
 def check_task(
     bag: Path | str, custom_data: Mapping[str, str], task: str, digest: str, *, allowed: bool, tell: Tell = warn
 ) -> None:
-    """Refuse a bag that was recorded in another task; accept one that names no task.
+    """Raise if a bag was recorded in another task; accept a bag that names no task.
 
     Args:
-        bag: Bag whose task is compared.
-        custom_data: Its custom data.
-        task: Name of the task that is learnt.
+        bag: Bag to check.
+        custom_data: Custom data of the bag.
+        task: Name of the task to learn.
         digest: Digest of that task.
-        allowed: Whether to tell a line instead of refusing.
-        tell: Called with that line; a Python warning by default.
+        allowed: Whether to report the difference instead of raising.
+        tell: Called with the report; a Python warning by default.
 
     Raises:
         BagError: The digests differ.
@@ -185,5 +185,5 @@ def check_task(
 
 
 def print_note(command: str, line: str) -> None:
-    """Print a note of a command on stderr."""
+    """Print a command's note to stderr."""
     sys.stderr.write(f"{command}: {line}\n")

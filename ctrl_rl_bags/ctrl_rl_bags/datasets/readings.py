@@ -1,4 +1,4 @@
-"""Reads arrays from the messages of a drive."""
+"""Converts the messages of a drive to arrays."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ _COLOURS = {
     "bgra8": (4, (2, 1, 0)),
     "mono8": (1, (0, 0, 0)),
 }
-"""Channels of a picture's encoding, and where red, green and blue are among them."""
+"""Channels of an image encoding, and the positions of red, green and blue among them."""
 _SAME_ANGLE = 1e-3
-"""Scans whose angles differ by less have the same beams [rad]."""
+"""Angular difference below which scans have the same beams [rad]."""
 _SAME_FIELD = 0.1
-"""Scans whose fields of view differ by less are from one lidar with a varying number of beams [rad]."""
+"""Difference in field of view below which scans come from one lidar with a varying number of beams [rad]."""
 
 
 def stamp_of(message: Any) -> int:
-    """Return the time in a message's header [ns]."""
+    """Return a message's header stamp [ns]."""
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 def read_command(message: Any, kind: str) -> Array | None:
-    """Return a command (2,): speed and turn rate, or two thrusts; None where they are not finite."""
+    """Return a command (2,): speed and turn rate, or two thrusts; None if not finite."""
     if kind.endswith("RotorThrusts"):
         command = np.array((message.t1, message.t2), dtype=np.float64)
     else:
@@ -45,7 +45,7 @@ def read_command(message: Any, kind: str) -> Array | None:
 
 
 def read_goal(message: Any) -> Array:
-    """Return position and attitude of a goal (7,); NaN if it is not a pose."""
+    """Return position and attitude of a goal (7,); NaN if the pose is invalid."""
     try:
         return core_read_goal(message.pose)
     except PoseError:
@@ -53,15 +53,15 @@ def read_goal(message: Any) -> Array:
 
 
 def no_goal() -> Array:
-    """Return the row that stands for no goal (7,): NaN."""
+    """Return the row that represents no goal (7,): NaN."""
     return np.full(len(GOAL_NAMES), math.nan)
 
 
 def read_image(message: Any, layout: ImageLayout | None, what: str) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3), red first.
+    """Return an image (height, width, 3) in RGB order.
 
     Raises:
-        BagError: Its encoding is unknown, its size differs from the first, or bytes are missing.
+        BagError: The encoding is unknown, the size differs from the first image, or bytes are missing.
     """
     height, width, encoding = int(message.height), int(message.width), str(message.encoding)
     if encoding not in _COLOURS:
@@ -84,11 +84,11 @@ class ScanColumn:
     """
 
     def __init__(self, beams: int | None, layout: ScanLayout | None = None) -> None:
-        """Set the beams to resample to.
+        """Set the beams to which scans are resampled.
 
         Args:
-            beams: Their number; None for that of the first scan.
-            layout: Beams of the first scan, where it was read before.
+            beams: Number of beams; None for that of the first scan.
+            layout: Beams of the first scan, if known.
         """
         self.layout = layout
         self._beams = beams
@@ -97,7 +97,7 @@ class ScanColumn:
         """Return the ranges (beams,) [m] of a scan; some lidars, such as the LDS-02, vary their number of beams.
 
         Raises:
-            BagError: The scan has another field of view than the first, and no number of beams was given.
+            BagError: The field of view differs from that of the first scan, and no number of beams was given.
             ScanError: The scan is invalid.
         """
         ranges, scan = read_scan(message)

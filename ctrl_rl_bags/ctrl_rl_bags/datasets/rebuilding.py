@@ -1,4 +1,4 @@
-"""Writes bags from frames; `extraction` makes the same frames from them again, bit for bit."""
+"""Writes bags from frames; `extraction` recovers the same frames bit for bit."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _OWN = (REWARD_TYPE, EPISODE_TYPE, "ctrl_rl_msgs/msg/RotorThrusts")
 
 
 class MessageMaker:
-    """Makes the CDR bytes of messages.
+    """Creates the CDR bytes of messages.
 
     Args:
-        odometry_frame: Frame of odometry and goals.
-        body_frame: Frame of the robot's body.
+        odometry_frame: Frame name of odometry and goals.
+        body_frame: Frame name of the robot's body.
     """
 
     def __init__(self, odometry_frame: str = "odom", body_frame: str = "base_footprint") -> None:
@@ -50,11 +50,11 @@ class MessageMaker:
         self._no_intensities = np.empty(0, np.float32)
 
     def topic(self, name: str, kind: str) -> Topic:
-        """Return a topic with the definition and the hash of its type."""
+        """Return a topic with the definition and hash of its type."""
         return Topic(name, kind, message_definition(kind), self._store.hash_rihs01(kind))
 
     def scan(self, stamp: int, ranges: NDArray[np.float32], layout: ScanLayout) -> bytes:
-        """Return a LaserScan of ranges (beams,) [m]."""
+        """Create a LaserScan from ranges (beams,) [m]."""
         return self._bytes(
             SCAN_TYPE,
             self._header(stamp, layout.frame or self._body_frame),
@@ -70,7 +70,7 @@ class MessageMaker:
         )
 
     def odometry(self, stamp: int, numbers: ArrayLike) -> bytes:
-        """Return an Odometry of pose and twist (13,), see `ODOMETRY_NAMES`."""
+        """Create an Odometry from pose and twist (13,), see `ODOMETRY_NAMES`."""
         it = np.asarray(numbers, dtype=np.float64).tolist()
         types = self._store.types
         pose = types["geometry_msgs/msg/PoseWithCovariance"](self._pose(it[:3], it[3:7]), self._no_covariance)
@@ -78,7 +78,7 @@ class MessageMaker:
         return self._bytes(ODOMETRY_TYPE, self._header(stamp, self._odometry_frame), self._body_frame, pose, twist)
 
     def command(self, stamp: int, command: ArrayLike, kind: str) -> bytes:
-        """Return a command (2,) as a message of the type `kind`, one of `COMMAND_TYPES`."""
+        """Create a command message of type `kind`, one of `COMMAND_TYPES`, from a command (2,)."""
         first, second = np.asarray(command, dtype=np.float64).tolist()
         if kind.endswith("RotorThrusts"):
             return self._bytes(kind, self._header(stamp, self._body_frame), first, second)
@@ -88,18 +88,18 @@ class MessageMaker:
         return bytes(self._store.serialize_cdr(twist, kind))
 
     def goal(self, stamp: int, goal: ArrayLike) -> bytes:
-        """Return a PoseStamped of position and attitude (7,), see `GOAL_NAMES`."""
+        """Create a PoseStamped from position and attitude (7,), see `GOAL_NAMES`."""
         it = np.asarray(goal, dtype=np.float64).tolist()
         return self._bytes(GOAL_TYPE, self._header(stamp, self._odometry_frame), self._pose(it[:3], it[3:]))
 
     def reward(self, stamp: int, reward: float, outcome: int) -> bytes:
-        """Return a TaskReward with an unknown time to reach."""
+        """Create a TaskReward with an unknown time to reach."""
         return self._bytes(
             REWARD_TYPE, self._header(stamp, self._odometry_frame), self._outcome(outcome), reward, float("nan")
         )
 
     def episode(self, stamp: int, number: int, outcome: int, seed: int = 0, elapsed: float = 0.0) -> bytes:
-        """Return an EpisodeStatus with unknown clearance and progress."""
+        """Create an EpisodeStatus with unknown clearance and progress."""
         nothing = float("nan")
         return self._bytes(
             EPISODE_TYPE,
@@ -112,7 +112,7 @@ class MessageMaker:
         )
 
     def image(self, stamp: int, picture: NDArray[np.uint8]) -> bytes:
-        """Return an Image of a picture (height, width, 3), red first."""
+        """Create an Image from an array (height, width, 3) in RGB order."""
         height, width, _ = picture.shape
         data = np.ascontiguousarray(picture).reshape(-1)
         return self._bytes(IMAGE_TYPE, self._header(stamp, "camera"), height, width, "rgb8", 0, 3 * width, data)
@@ -143,10 +143,10 @@ _LATEST = 2**62
 
 
 def rebuild(frames: Iterator[Frames], layout: Layout, folder: Path, robot: str) -> tuple[int, int, int]:
-    """Write bags `bag_0`, `bag_1` ... into a folder; return the numbers of episodes, frames and bytes.
+    """Write bags `bag_0`, `bag_1` ... to a folder; return the numbers of episodes, frames and bytes.
 
     Raises:
-        DatasetError: Times of the frames do not rise.
+        DatasetError: Times of the frames do not increase.
         BagError: A bag cannot be written.
     """
     source, writer = -1, None
@@ -172,7 +172,7 @@ class DriveWriter:
     """Writes frames as a bag.
 
     Args:
-        folder: The bag, which must not exist.
+        folder: Folder of the bag, which must not exist.
         layout: Layout of the frames.
         robot: Namespace of the topics.
     """
@@ -201,8 +201,8 @@ class DriveWriter:
         """Append frames, episode by episode.
 
         Raises:
-            DatasetError: Their times do not rise.
-            BagError: The disk refuses.
+            DatasetError: Their times do not increase.
+            BagError: Writing fails.
         """
         columns: dict[str, Any] = dict(frames.columns)
         for row, (time, stamp) in enumerate(zip(columns[LOG_TIME].tolist(), columns[STAMP].tolist(), strict=True)):
@@ -213,7 +213,7 @@ class DriveWriter:
             self._began = None
 
     def close(self) -> int:
-        """Finish the bag and return the size of its messages [bytes]; may be called twice."""
+        """Finish the bag and return the total size of its messages [bytes]; may be called twice."""
         self._writer.close()
         return self._writer.bytes_received
 

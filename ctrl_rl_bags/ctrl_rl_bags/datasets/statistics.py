@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 
 class Statistics:
-    """Minimum, maximum, mean and standard deviation of each component, of finite values only.
+    """Minimum, maximum, mean and standard deviation of each component, over finite values only.
 
-    A picture's components are its colours.
+    The components of an image are its colour channels.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Statistics:
         self._most = np.maximum(self._most, np.where(known, numbers, -np.inf).max(axis=0))
 
     def summary(self) -> dict[str, list[float]]:
-        """Return the statistics for JSON; 0 where no value was finite."""
+        """Return the statistics for JSON; 0 if no value was finite."""
         if self._count is None:
             return {}
         none = self._count == 0

@@ -1,4 +1,4 @@
-"""The rosbag2 format: reading, writing, copying and mending, without an installed ROS."""
+"""The rosbag2 format: reading, writing, copying and repairing, without an installed ROS."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""What a bag holds by its files, and whether its metadata.yaml agrees with them."""
+"""Content of a bag according to its files, and consistency with its metadata.yaml."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, Qos, Topic,
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Type, number of messages, type hash and offered quality of service of one topic."""
+    """Type, message count, type hash and offered QoS of one topic."""
 
     type: str
     message_count: int
@@ -25,7 +25,7 @@ class TopicInfo:
 class BagInfo:
     """Content of a bag: log times [ns], files, topics by name, custom data, and the parts without a checksum.
 
-    `notes` tell where metadata.yaml contradicts the files; the files are believed.
+    `notes` lists contradictions between metadata.yaml and the files; the files take precedence.
     """
 
     folder: Path
@@ -40,19 +40,19 @@ class BagInfo:
 
 
 def is_bag_file(path: Path) -> bool:
-    """Return whether a file's name is that of a bag file."""
+    """Return whether a file name is that of a bag file."""
     return path.suffix in (".mcap", ".db3")
 
 
 def recover_hint(bag: Path | str) -> str:
-    """Return the advice to use `bag recover`, for the end of an error; empty where that cannot help."""
+    """Return advice to use `bag recover`, for the end of an error message; empty if that cannot help."""
     path = Path(bag)
     mendable = any(map(is_bag_file, path.iterdir())) if path.is_dir() else is_bag_file(path)
     return f"; recover it with ros2 run ctrl_rl_bags bag recover {path}" if mendable else ""
 
 
 def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
-    """Fill in the type hash and QoS that another writer's file lacks from metadata.yaml."""
+    """Fill in type hash and QoS from metadata.yaml where another writer's file lacks them."""
     also = offered.get(topic.name)
     if also is None:
         return topic
@@ -63,10 +63,10 @@ def completed(topic: Topic, offered: Mapping[str, Any]) -> Topic:
 def compare(metadata: BagMetadata, info: BagInfo, mixed: Mapping[str, str]) -> list[str]:
     """Return harmless differences between metadata.yaml and the files, one line each.
 
-    Foxy and Humble record the times of the last split only; `ros2 bag reindex` drops empty topics.
+    Foxy and Humble store only the times of the last split; `ros2 bag reindex` drops empty topics.
 
     Raises:
-        BagError: Messages are missing or have another type, so these are not the bag's files.
+        BagError: Messages are missing or have another type, so the files do not belong to this bag.
     """
     said = {
         it.topic_metadata.name: (it.topic_metadata.type, it.message_count) for it in metadata.topics_with_message_count

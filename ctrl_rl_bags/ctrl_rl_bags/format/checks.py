@@ -1,6 +1,6 @@
-"""Checks of bags that may be hostile: errors, regular files only, and YAML of a bounded size and depth.
+"""Checks of possibly hostile bags: errors, regular files only, and YAML of bounded size and depth.
 
-A bag's YAML may be longer than `checked_yaml` allows: it holds the parameters of all nodes.
+A bag's YAML may be longer than `checked_yaml` allows, because it contains the parameters of all nodes.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class BagError(CtrlRlError):
-    """A bag cannot be written, read or recovered; the message names the file and says what to do."""
+    """A bag cannot be written, read or recovered; the message names the file and the remedy."""
 
 
 class DamagedError(BagError):
-    """A file is damaged, or asks for more than the limits allow; the message does not name it."""
+    """A file is damaged or exceeds the limits; the message does not name it."""
 
 
 def reason(error: Exception) -> str:
@@ -39,10 +39,10 @@ def reason(error: Exception) -> str:
 
 @contextmanager
 def fields_of(what: str) -> Iterator[None]:
-    """Turn errors about missing or odd fields into a BagError: a bag defines its types itself.
+    """Convert errors about missing or invalid fields to BagError, since a bag defines its own types.
 
     Raises:
-        BagError: Begins with `what`.
+        BagError: The message starts with `what`.
     """
     try:
         yield
@@ -51,7 +51,7 @@ def fields_of(what: str) -> Iterator[None]:
 
 
 def printable(text: str, longest: int = _LONGEST_REASON) -> str:
-    """Make a text from a bag safe to print: bounded length, no line breaks, no escapes."""
+    """Make a text from a bag safe to print: bounded length, no line breaks, no escape sequences."""
     return one_line(text, longest)
 
 
@@ -60,8 +60,8 @@ def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[Binary
     """Open a regular file; yield it and its size [bytes].
 
     Raises:
-        DamagedError: It is no regular file, or larger than `largest` [bytes].
-        OSError: It cannot be opened.
+        DamagedError: The file is not regular, or is larger than `largest` [bytes].
+        OSError: The file cannot be opened.
     """
     try:
         with open_file(path, largest) as opened:
@@ -71,22 +71,21 @@ def open_regular(path: Path, largest: float = math.inf) -> Iterator[tuple[Binary
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the content of a YAML file.
+    """Read a YAML file.
 
     Raises:
-        DamagedError: It is too large, or no plain YAML.
-        OSError: It cannot be read.
+        DamagedError: The file is too large, or is not plain YAML.
+        OSError: The file cannot be read.
     """
     with open_regular(path, _LARGEST_YAML) as (stream, size):
         return parse_yaml(stream.read(size))
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """Return the content of a YAML text.
+    """Parse a YAML text.
 
     Raises:
-        DamagedError: It is not YAML, too large or too deep, or has aliases, with which a short text can unfold
-        endlessly.
+        DamagedError: The text is not YAML, is too large or too deep, or has aliases, which can expand without bound.
     """
     if len(text) > _LARGEST_YAML:
         raise DamagedError(f"it has {len(text):,} characters, where at most {_LARGEST_YAML:,} are read")

@@ -1,4 +1,4 @@
-"""Copies a bag message by message, byte for byte, and lets a caller add messages on the way."""
+"""Copies a bag message by message, byte for byte, optionally with additional messages."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ctrl_rl_bags.format.writer import BagWriter
 
 
 def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
-    """Yield every message of a bag, file by file in the order of their log time.
+    """Yield every message of a bag, file by file in log-time order.
 
-    sqlite3 bags store neither publication time nor sequence number: the log time and 0 take their place.
+    sqlite3 bags store neither publication time nor sequence number; the log time and 0 are used instead.
 
     Raises:
-        BagError: The bag cannot be read, or a checksum in it is wrong.
+        BagError: The bag cannot be read, or a checksum is wrong.
     """
     with open_bag(bag) as opened:
         opened.check()
@@ -30,10 +30,10 @@ def read_serialized(bag: Path | str) -> Iterator[SerializedMessage]:
 
 
 def bag_topics(bag: Path | str | Bag) -> list[Topic]:
-    """Return the topics of a bag with their definitions and quality of service.
+    """Return the topics of a bag with their definitions and QoS.
 
     Raises:
-        BagError: The bag cannot be read, or it neither defines a type nor is the type one of ROS 2 Jazzy.
+        BagError: The bag cannot be read, or a type is neither defined in it nor part of ROS 2 Jazzy.
     """
     out = []
     with open_bag(bag) as opened:
@@ -55,22 +55,22 @@ def copy_bag(
     custom_data: Mapping[str, str] | None = None,
     progress: str = "",
 ) -> int:
-    """Write a bag again with more topics in it; the messages kept stay as they are, byte for byte.
+    """Copy a bag and add topics; the retained messages are unchanged, byte for byte.
 
     Args:
         bag: Folder or file.
-        output: Folder of the new bag; it must not exist.
-        added: The new topics.
-        add: Returns, for each message copied, the messages (topic, CDR bytes) that follow it, at its times.
-        left_out: Topics of the old bag that the new one shall not have.
-        custom_data: Texts that the new bag keeps beside the old one's.
+        output: Folder of the new bag, which must not exist.
+        added: Topics to add.
+        add: Returns the messages (topic, CDR bytes) to insert after each copied message, with the same times.
+        left_out: Topics to omit.
+        custom_data: Custom data to add to the old bag's.
         progress: Label of a progress bar on a terminal; empty for no bar.
 
     Returns:
-        Number of messages that were added.
+        Number of messages added.
 
     Raises:
-        BagError: The bag cannot be read, it has one of the topics already, or the output exists.
+        BagError: The bag cannot be read or already has one of the topics, or the output exists.
     """
     topics, info = [topic for topic in bag_topics(bag) if topic.name not in left_out], bag_info(bag)
     twice = {topic.name for topic in topics} & {topic.name for topic in added}

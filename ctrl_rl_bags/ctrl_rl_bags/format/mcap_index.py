@@ -1,4 +1,4 @@
-"""The index of an MCAP file: topics, chunks and counts, from its summary or, without one, from a scan of the file."""
+"""Index of an MCAP file: topics, chunks and counts, from the summary or else from a scan of the file."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ class McapIndex:
     """Topics, chunks and counts of an open MCAP file.
 
     Attributes:
-        schemas: Schemas by number.
-        channels: Channels by number.
+        schemas: Schemas by id.
+        channels: Channels by id.
         counts: Number of messages by channel.
         start: First log time [ns]; 0 without messages.
         end: Last log time [ns].
-        custom_data: Texts that the bag keeps, by key.
-        chunks: Log times [ns], place, and size on disk and in memory [bytes] of each chunk (n,).
-        chunk_channels: Channels of each chunk's messages; None where the index does not name them.
-        loose: Whether the messages lie outside of chunks.
+        custom_data: Custom data of the bag, by key.
+        chunks: Log times [ns], offset, and size on disk and in memory [bytes] of each chunk (n,).
+        chunk_channels: Channels of each chunk's messages; None if not in the index.
+        loose: Whether messages lie outside of chunks.
         summary_crc: Checksum of the summary; 0 without one.
 
     Raises:
-        DamagedError: The file is no whole MCAP file, a checksum is wrong, or it asks for more than the limits allow.
+        DamagedError: The file is not a complete MCAP file, a checksum is wrong, or a limit is exceeded.
     """
 
     def __init__(self, stream: BinaryIO, size: int, limits: Limits) -> None:
         """Read the index.
 
         Args:
-            stream: File at its first byte.
+            stream: File, positioned at its first byte.
             size: Size of the file [bytes].
-            limits: Memory that the file may take at most.
+            limits: Memory limits.
         """
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -116,7 +116,7 @@ class McapIndex:
         self._data_at = self._stream.tell()
 
     def _read_summary(self, footer: bytes) -> bool:
-        """Read topics and chunks; return False if the summary does not list all of them."""
+        """Read topics and chunks; return False if the summary is incomplete."""
         self._stream.seek(self._summary_at)
         summary = read_exactly(self._stream, self._footer_at - self._summary_at, self._limits.index_bytes)
         if self.summary_crc and zlib.crc32(footer, zlib.crc32(summary)) != self.summary_crc:
@@ -159,7 +159,7 @@ class McapIndex:
         self._add_topic(record, size)
 
     def _add_chunk_index(self, summary: bytes, at: int, length: int) -> None:
-        """Add a chunk's times, place and size; by hand, because mcap's own parser takes twice as long."""
+        """Add a chunk's times, offset and size, parsed by hand because mcap's own parser takes twice as long."""
         try:
             start, end, offset, size_of_record, size = _CHUNK_INDEX.unpack_from(summary, at)
             tail = at + _CHUNK_INDEX.size + size
@@ -176,7 +176,7 @@ class McapIndex:
         self.chunk_channels.append(self._same(channels) if channels else None)
 
     def _same(self, channels: frozenset[int]) -> frozenset[int] | None:
-        """Return one shared object for equal sets; None, which stands for any channel, after too many sets."""
+        """Return one shared object for equal sets; None, which means any channel, after too many sets."""
         if channels not in self._channel_sets:
             self._channel_set_items += len(channels)
             if self._channel_set_items > _MOST_CHANNEL_SETS:
@@ -185,7 +185,7 @@ class McapIndex:
         return self._channel_sets[channels]
 
     def _add_topic(self, record: Parsed, size: int) -> None:
-        """Store a schema, a channel or custom data of some size [bytes]; ignore any other record."""
+        """Store a schema, a channel or custom data of some size [bytes]; ignore other records."""
         self._topics_bytes += size
         if self._topics_bytes > self._limits.topics_bytes:
             raise DamagedError(f"its topics take more than {self._limits.topics_bytes:,} bytes")
@@ -229,7 +229,7 @@ class McapIndex:
         self.counts, self.start, self.end = dict(counts), int(first) if counts else 0, last
 
     def data_section(self) -> Iterator[tuple[int, bytes]]:
-        """Yield all records before the summary, the unneeded ones with empty content; check the data's checksum."""
+        """Yield all records before the summary, unneeded ones with empty content; verify the data checksum."""
         self._stream.seek(0)
         crc = zlib.crc32(self._stream.read(self._data_at))
         position = self._data_at

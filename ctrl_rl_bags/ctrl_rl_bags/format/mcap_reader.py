@@ -1,4 +1,4 @@
-"""Reads one MCAP file in log-time order, in bounded memory, and checks every checksum on the way."""
+"""Reads one MCAP file in log-time order, in bounded memory, and verifies all checksums."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
 _Names = dict[int, tuple[str, str]]
 """Topic and type by channel."""
 _Waiting = list[tuple[int, int, SerializedMessage, Iterator[SerializedMessage]]]
-"""Open chunks: log time of the next message, number of the chunk, that message, an iterator over the rest."""
+"""Open chunks: log time of the next message, chunk index, that message, and an iterator over the rest."""
 
 
 class McapReader:
-    """One MCAP file, open until `close`.
+    """An MCAP file, open until `close`.
 
     Attributes:
-        topics: Its topics, with the number of their messages; a topic with messages of two types is there twice.
+        topics: Topics with message counts; a topic with two message types appears twice.
         start: First log time [ns]; 0 without messages.
         end: Last log time [ns].
-        custom_data: Texts that it keeps.
+        custom_data: Custom data.
 
     Raises:
-        DamagedError: The file is no whole MCAP file, a checksum is wrong, or it asks for more than the limits allow.
+        DamagedError: The file is not a complete MCAP file, a checksum is wrong, or a limit is exceeded.
         OSError: The file cannot be read.
     """
 
@@ -76,10 +76,10 @@ class McapReader:
     def messages(
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[SerializedMessage]:
-        """Yield the messages of some topics, log times from `start` to before `stop` [ns], in their order.
+        """Yield the messages of some topics in log-time order, from `start` to before `stop` [ns].
 
         Raises:
-            DamagedError: A chunk or a message is damaged, or some are missing.
+            DamagedError: A chunk or a message is damaged or missing.
         """
         names = {number: (topic.name, topic.type) for number, topic in self._topics.items() if topic.name in topics}
         for number, (name, _) in names.items():
@@ -98,7 +98,7 @@ class McapReader:
             raise DamagedError("it does not hold as many messages as it says")
 
     def check(self) -> None:
-        """Read everything before the summary once, to check it.
+        """Read and verify everything before the summary once.
 
         Raises:
             DamagedError: The checksum is wrong, or a record is damaged.
@@ -152,7 +152,7 @@ class McapReader:
         yield from self._drain(waiting, 1 << 64)
 
     def _drain(self, waiting: _Waiting, stop: int) -> Generator[SerializedMessage, None, int]:
-        """Yield messages of open chunks older than `stop`; return the size of the chunks used up."""
+        """Yield messages of open chunks older than `stop`; return the size of the exhausted chunks."""
         freed = 0
         while waiting and waiting[0][0] < stop:
             _, number, message, messages = waiting[0]

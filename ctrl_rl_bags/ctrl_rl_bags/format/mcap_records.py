@@ -1,6 +1,6 @@
-"""Records and chunks of possibly hostile MCAP files: every size is checked before the content is read.
+"""Records and chunks of possibly hostile MCAP files; every size is checked before the content is read.
 
-The layouts are those of https://mcap.dev/spec.
+See https://mcap.dev/spec for the layouts.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Limits:
     """Memory limits for reading a bag [bytes].
 
     Attributes:
-        chunk_bytes: Size of a chunk, uncompressed, and of a message.
-        open_bytes: Size of all chunks whose times overlap, uncompressed.
+        chunk_bytes: Uncompressed size of a chunk, and size of a message.
+        open_bytes: Total uncompressed size of chunks with overlapping times.
         index_bytes: Size of a file's summary.
-        topics_bytes: Size of all schemas, channels and metadata records of a file.
+        topics_bytes: Total size of all schemas, channels and metadata records of a file.
     """
 
     chunk_bytes: int = 128 * _MIB
@@ -65,7 +65,7 @@ DEFAULT_LIMITS = Limits()
 
 
 class ChunkHead(NamedTuple):
-    """The fields before a chunk's data: log times [ns], sizes [bytes], checksum (0: none), compression."""
+    """Header of a chunk record: log times [ns], sizes [bytes], checksum (0: none), compression."""
 
     start: int
     end: int
@@ -76,7 +76,7 @@ class ChunkHead(NamedTuple):
 
 
 def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
-    """Return the next bytes of a file.
+    """Read an exact number of bytes from a file.
 
     Raises:
         DamagedError: The file ends early, or `size` exceeds the limit.
@@ -90,7 +90,7 @@ def read_exactly(stream: BinaryIO, size: int, limit: int) -> bytes:
 
 
 def parse(opcode: int, content: bytes) -> Parsed | None:
-    """Parse a record; None for kinds that are not needed.
+    """Parse a record; return None for kinds that are not needed.
 
     Raises:
         DamagedError: The content cannot be parsed.
@@ -103,11 +103,11 @@ def parse(opcode: int, content: bytes) -> Parsed | None:
 
 
 def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
-    """Return the fields before the data of a chunk.
+    """Parse the header of a chunk record.
 
     Args:
-        content: Content of the chunk's record.
-        whole: Whether the chunk is complete, so that its data must have the stated length.
+        content: Content of the chunk record.
+        whole: Whether the chunk must be complete, with data of the stated length.
 
     Raises:
         DamagedError: The chunk is too short, or its data has another length.
@@ -129,10 +129,10 @@ def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
 
 
 def decompress(content: bytes, limit: int) -> bytes:
-    """Return the records of a complete chunk.
+    """Decompress the records of a complete chunk.
 
     Raises:
-        DamagedError: It is larger than the limit, cannot be decompressed, or contradicts its size or checksum.
+        DamagedError: The chunk exceeds the limit, cannot be decompressed, or contradicts its size or checksum.
     """
     head = chunk_head(content)
     if head.size > limit:
@@ -146,10 +146,10 @@ def decompress(content: bytes, limit: int) -> bytes:
 
 
 def decompress_some(compression: str, data: bytes, size: int) -> bytes:
-    """Decompress at most `size + 1` bytes; of data that was cut off, as much as possible.
+    """Decompress at most `size + 1` bytes; of truncated data, as much as possible.
 
     Raises:
-        DamagedError: The data is broken, or its compression unknown.
+        DamagedError: The data is corrupt, or the compression is unknown.
     """
     try:
         if compression == "zstd":
@@ -170,7 +170,7 @@ def decompress_some(compression: str, data: bytes, size: int) -> bytes:
 def index_messages(
     records: bytes, chosen: frozenset[int], first: int, last: int
 ) -> tuple[array[int], array[int], array[int]]:
-    """Return channel, log time and place of each chosen message of a chunk, in the order of the file."""
+    """Return channel, log time and offset of each selected message of a chunk, in file order."""
     channels, times, places = array("H"), array("Q"), array("Q")
     for opcode, at, length in records_in(records):
         if opcode == _MESSAGE_OPCODE:
@@ -195,7 +195,7 @@ def message_head(content: bytes) -> tuple[int, int, int, int]:
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, place and length of each record's content."""
+    """Yield opcode, offset and length of each record's content."""
     at, size = 0, len(data)
     while at < size:
         if at + RECORD.size > size:

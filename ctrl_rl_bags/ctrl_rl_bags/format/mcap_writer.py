@@ -1,7 +1,7 @@
-"""Writes one MCAP file in small compressed chunks, which reach the operating system when the caller flushes.
+"""Writes one MCAP file in small compressed chunks, which reach the operating system on each flush.
 
-The record layouts other than the two on the hot path (message, message index) are the mcap library's. Its own writer
-takes 3-6 us of Python a message and 1 MiB chunks (test/benchmarks/recorder_throughput.py).
+All records except the two on the hot path (message, message index) are written by the mcap library. Its own writer
+takes 3-6 us of Python per message, with 1 MiB chunks (test/benchmarks/recorder_throughput.py).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _INDEX = struct.Struct("<BQHI")
 class McapFile:
     """Writes one .mcap file with profile `ros2`. The caller must call `close` or `abort`.
 
-    After an OSError the file is cut back to its last complete record; `close` may then still succeed.
+    After an OSError the file is truncated to its last complete record; `close` may still succeed.
     """
 
     def __init__(self, path: Path, chunk_bytes: int = CHUNK_BYTES) -> None:
@@ -69,16 +69,16 @@ class McapFile:
 
     @property
     def message_count(self) -> int:
-        """Messages in complete chunks, which a reader of the file will find."""
+        """Number of messages in complete chunks, visible to readers of the file."""
         return sum(self._counts.values())
 
     @property
     def message_counts(self) -> dict[str, int]:
-        """Messages in complete chunks, by topic."""
+        """Number of messages in complete chunks, by topic."""
         return {self._channels[channel].topic: count for channel, count in self._counts.items()}
 
     def add_topic(self, topic: Topic) -> int:
-        """Write a topic's schema and channel; return the channel number that `write` needs."""
+        """Write a topic's schema and channel; return the channel id for `write`."""
         records = b""
         if topic.type not in self._schemas:
             schema = Schema(
@@ -100,7 +100,7 @@ class McapFile:
     def write(
         self, channel: int, data: bytes | bytearray | memoryview, log_time: int, publish_time: int, sequence: int
     ) -> None:
-        """Add one serialized message to the open chunk; times in ns since the epoch, sequence below 2**32."""
+        """Add one serialised message to the open chunk; times in ns since the epoch, sequence below 2**32."""
         chunk = self._chunk
         head = _MESSAGE.pack(_MESSAGE_OPCODE, _MESSAGE_HEAD + len(data), channel, sequence, log_time, publish_time)
         self._indexes[channel] += (log_time, len(chunk))
@@ -116,7 +116,7 @@ class McapFile:
         self._metadata_indexes.append(MetadataIndex(offset=self.size - len(record), length=len(record), name=name))
 
     def flush(self) -> None:
-        """Hand the open chunk to the operating system; from then on it survives the death of this process."""
+        """Pass the open chunk to the operating system; from then on it survives the death of this process."""
         if not self._indexes:
             return
         raw, indexes = self._chunk, self._indexes
@@ -168,7 +168,7 @@ class McapFile:
         return self._file.fileno()
 
     def finish(self) -> None:
-        """Write the open chunk and the summary. The file is then complete; only `close` may follow."""
+        """Write the open chunk and the summary, which completes the file; only `close` may follow."""
         self.flush()
         data_end = _bytes(DataEnd(self._crc))
         start = self.size + len(data_end)
@@ -201,7 +201,7 @@ class McapFile:
         self._file.close()
 
     def _append(self, data: bytes) -> None:
-        """Write all of `data`, or cut the file back to where it was and raise OSError."""
+        """Write all of `data`, or truncate the file to its previous length and raise OSError."""
         view = memoryview(data)
         try:
             while view:

@@ -1,4 +1,4 @@
-"""Metadata of a bag: topics with their quality of service, and rosbag2's metadata.yaml (version 9)."""
+"""Metadata of a bag: topics with QoS, and rosbag2's metadata.yaml (version 9)."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ METADATA_FILE = "metadata.yaml"
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
 CUSTOM_DATA_RECORD = "custom_data"
-"""Name of the MCAP metadata records that hold the bag's custom data; a bag that is cut off keeps them."""
+"""Name of the MCAP metadata records with the bag's custom data; incomplete bags keep them."""
 NO_TIME = 2**63 - 1
-"""Starting time of a bag without messages, as rosbag2 writes it."""
+"""Start time of a bag without messages, as written by rosbag2."""
 
 Qos = Mapping[str, Any]
-"""One offered QoS profile, with the keys and values that rosbag2 writes since version 9."""
+"""One offered QoS profile, with rosbag2's keys and values since version 9."""
 
 
 class _Nanoseconds(BaseModel):
@@ -50,7 +50,7 @@ class _TopicCount(BaseModel):
 
 
 class BagMetadata(BaseModel):
-    """The keys of metadata.yaml (versions 1 to 9) that we read, under rosbag2's names."""
+    """The keys read from metadata.yaml (versions 1 to 9), under rosbag2's names."""
 
     version: Annotated[int, Field(ge=1, le=METADATA_VERSION)]
     storage_identifier: Literal["mcap", "sqlite3", ""]
@@ -71,9 +71,9 @@ class Topic:
     Attributes:
         name: Full name, `/scan`.
         type: Name of the message type, e.g. `sensor_msgs/msg/LaserScan`.
-        definition: The message definition with all nested ones, as in a `ros2msg` schema.
-        type_hash: `RIHS01_...` (REP-2011), empty if unknown.
-        qos: QoS profiles of the publishers, which decide whether a replay is latched.
+        definition: Message definition with all nested ones, as in a `ros2msg` schema.
+        type_hash: `RIHS01_...` (REP-2011); empty if unknown.
+        qos: QoS profiles of the publishers, which determine whether a replay is latched.
         encoding: Language of the definition, `ros2msg` or `ros2idl`.
     """
 
@@ -86,12 +86,12 @@ class Topic:
 
     @property
     def qos_text(self) -> str:
-        """The offered profiles as YAML, as in the MCAP channel; empty where none is known."""
+        """Offered profiles as YAML, as in the MCAP channel; empty if unknown."""
         return yaml.safe_dump(_plain(self.qos), sort_keys=False).strip() if self.qos else ""
 
 
 def name_of_other_type(topic: str, kind: str) -> str:
-    """Return the name under which a bag keeps messages whose type differs from their topic's first.
+    """Return the name for messages with a type other than their topic's first type.
 
     rosbag2 allows one type per topic.
     """
@@ -100,7 +100,7 @@ def name_of_other_type(topic: str, kind: str) -> str:
 
 @dataclass(frozen=True)
 class FileSummary:
-    """Name, log times [ns] and number of messages of one .mcap file; the times are None without messages."""
+    """Name, log times [ns] and message count of one .mcap file; the times are None without messages."""
 
     path: str
     start: int | None
@@ -157,7 +157,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     """Write metadata.yaml atomically.
 
     Raises:
-        OSError: The disk refuses.
+        OSError: Writing fails.
     """
     content = {"rosbag2_bagfile_information": information}
     atomic_write(folder / METADATA_FILE, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
@@ -167,7 +167,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     """Return the content of a bag's metadata.yaml below `rosbag2_bagfile_information`.
 
     Raises:
-        BagError: There is no such file, or it is not a bag's.
+        BagError: The file is missing, or is not the metadata of a bag.
     """
     path = folder / METADATA_FILE
     try:
@@ -183,14 +183,14 @@ def read_metadata(folder: Path) -> BagMetadata:
 
 
 def _plain(qos: Sequence[Qos]) -> list[dict[str, Any]]:
-    """Deep-copy profiles, so that YAML never sees one object twice and writes no alias."""
+    """Deep-copy profiles, so that YAML never sees the same object twice and writes no alias."""
     return [copy.deepcopy(dict(profile)) for profile in qos]
 
 
 class SerializedMessage(NamedTuple):
-    """One message as on the wire: times [ns since the epoch], the publisher's sequence number, CDR bytes.
+    """One serialised message: times [ns since the epoch], the publisher's sequence number, CDR bytes.
 
-    sqlite3 bags store neither publication time nor sequence number: the log time and 0 take their place.
+    sqlite3 bags store neither publication time nor sequence number; the log time and 0 are used instead.
     """
 
     topic: str
@@ -205,7 +205,7 @@ def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
     """Return the topic of an MCAP channel; its type is empty without a schema.
 
     Raises:
-        DamagedError: The message definition is no text.
+        DamagedError: The message definition is not text.
     """
     schema = schema or Schema(id=0, data=b"", encoding="", name="")
     try:
@@ -223,7 +223,7 @@ def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
 
 
 def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
-    """Return offered QoS profiles in the form of metadata version 9; empty if they cannot be parsed.
+    """Convert offered QoS profiles to metadata version 9; empty if they cannot be parsed.
 
     Args:
         profiles: YAML text, or its content.

@@ -1,7 +1,7 @@
-"""Reads rosbag2 folders, MCAP or the older sqlite3, without ROS: messages are decoded by the bag's own definitions.
+"""Reads rosbag2 folders, MCAP or the older sqlite3, without ROS; messages are decoded with the bag's own definitions.
 
-Nothing in a bag is trusted: memory is bounded (`Limits`), every checksum is checked, and `metadata.yaml` must agree
-with the files.
+Bags are not trusted: memory is bounded (`Limits`), every checksum is verified, and `metadata.yaml` must agree with the
+files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ctrl_rl_bags.format.sqlite_reader import SqliteReader, with_log
 from ctrl_rl_bags.format.type_definitions import BagTypes, Definition
 
 _NOT_MENDED = ("git lfs", "not of ROS 2")
-"""Errors with these words are beyond `bag recover`."""
+"""Errors with these words cannot be fixed by `bag recover`."""
 _ROS1_MAGIC, _ZSTD_MAGIC = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
 
 
@@ -36,8 +36,8 @@ class BagMessage:
     Attributes:
         topic: Full name of the topic.
         type: Name of the message type, e.g. `sensor_msgs/msg/LaserScan`.
-        log_time: When it was received [ns since the epoch].
-        data: The message, with NumPy arrays for arrays of numbers.
+        log_time: Reception time [ns since the epoch].
+        data: Decoded message, with NumPy arrays for arrays of numbers.
     """
 
     topic: str
@@ -89,12 +89,12 @@ class Bag:
     def messages(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
     ) -> Iterator[SerializedMessage]:
-        """Yield serialized messages, file by file, in log-time order.
+        """Yield serialised messages, file by file, in log-time order.
 
         Args:
-            topics: Names to read; all if empty.
-            start: First log time [ns], included.
-            stop: Last log time [ns], excluded.
+            topics: Topics to read; all if empty.
+            start: First log time [ns], inclusive.
+            stop: Last log time [ns], exclusive.
 
         Raises:
             BagError: The bag has no such topic, or is damaged.
@@ -118,7 +118,7 @@ class Bag:
     def decoded(
         self, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
     ) -> Iterator[BagMessage]:
-        """Yield decoded messages; arguments and errors are those of `messages`."""
+        """Yield decoded messages; arguments and errors as for `messages`."""
         topics, types = list(topics), None
         for message in self.messages(topics, start, stop):
             types = types or self.types(topics)
@@ -130,7 +130,7 @@ class Bag:
             yield BagMessage(message.topic, message.type, message.log_time, data)
 
     def check(self) -> None:
-        """Check the checksums that `messages` does not.
+        """Verify the checksums not covered by `messages`.
 
         Raises:
             BagError: The bag is damaged.
@@ -140,10 +140,10 @@ class Bag:
                 source.check()
 
     def types(self, topics: Iterable[str] = ()) -> BagTypes:
-        """Return a decoder for some topics; for all if empty.
+        """Return a decoder for some topics, or for all if empty.
 
         Raises:
-            BagError: A definition is missing or wrong.
+            BagError: A definition is missing or invalid.
         """
         chosen = [self.topics[name] for name in topics or self.topics]
         kinds = {
@@ -155,7 +155,7 @@ class Bag:
             raise BagError(f"{self.path}: {error}") from None
 
     def _find(self, folder: Path, name: str) -> Path:
-        """Find a file that metadata.yaml names, even if somebody compressed or uncompressed it since."""
+        """Find a file named in metadata.yaml, even if it has been compressed or uncompressed since."""
         for other in (name, f"{name}.zstd", name.removesuffix(".zstd")):
             if (folder / other).exists():
                 if other != name:
@@ -226,7 +226,7 @@ class Bag:
         )
 
     def _uncompress(self, metadata: BagMetadata, stack: ExitStack) -> None:
-        """Prepare a bag that rosbag2 compressed by file or by message."""
+        """Uncompress a bag that rosbag2 compressed by file or by message."""
         kind, mode = str(metadata.compression_format), str(metadata.compression_mode).lower()
         if kind != "zstd" or mode not in ("file", "message"):
             raise BagError(
@@ -254,14 +254,14 @@ class Bag:
 
 @contextmanager
 def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
-    """Open a bag for several readings of it.
+    """Open a bag for repeated reading.
 
     Args:
         bag: Folder of the bag, one .mcap or .db3 file, or an open bag, which stays open.
-        limits: Memory that the bag may take at most.
+        limits: Memory limits.
 
     Raises:
-        BagError: There is no such bag, it was cut off, or it is damaged.
+        BagError: The bag does not exist, is incomplete, or is damaged.
     """
     if isinstance(bag, Bag):
         yield bag
@@ -280,7 +280,7 @@ def open_bag(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> Iterator
 def read_messages(
     bag: Path | str | Bag, topics: Iterable[str] = (), start: int | None = None, stop: int | None = None
 ) -> Iterator[BagMessage]:
-    """Yield decoded messages of a bag; arguments and errors as in `Bag.messages`."""
+    """Yield decoded messages of a bag; arguments and errors as for `Bag.messages`."""
     with open_bag(bag) as opened:
         yield from opened.decoded(topics, start, stop)
 
@@ -292,7 +292,7 @@ def read_raw(
     stop: int | None = None,
     limits: Limits = DEFAULT_LIMITS,
 ) -> Iterator[SerializedMessage]:
-    """Like `read_messages`, but serialized, which is five times as fast."""
+    """Like `read_messages`, but for serialised messages, which is five times as fast."""
     with open_bag(bag, limits) as opened:
         yield from opened.messages(topics, start, stop)
 
@@ -301,7 +301,7 @@ def bag_info(bag: Path | str | Bag, limits: Limits = DEFAULT_LIMITS) -> BagInfo:
     """Return the files, times, topics and counts of a bag.
 
     Raises:
-        BagError: There is no such bag, it was cut off, or it is damaged.
+        BagError: The bag does not exist, is incomplete, or is damaged.
     """
     with open_bag(bag, limits) as opened:
         return opened.info
@@ -326,7 +326,7 @@ def _is_compressed(file: Path) -> bool:
 
 
 def _uncompressed(file: Path, output: Path) -> Path:
-    """Uncompress a file, using at most half of the disk's free space."""
+    """Uncompress a file, using at most half of the free disk space."""
     left = shutil.disk_usage(output.parent).free // 2
     with open_regular(file) as (stream, _), output.open("xb") as out:
         for piece in zstandard.ZstdDecompressor().read_to_iter(stream):

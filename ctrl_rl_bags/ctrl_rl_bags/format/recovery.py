@@ -1,7 +1,7 @@
-"""Recovers bags that were cut off by a SIGKILL, a power cut or a full disk.
+"""Recovers bags truncated by a SIGKILL, a power cut or a full disk.
 
 An MCAP file is a sequence of records, each preceded by its length. All complete records are copied to a new bag, whose
-metadata is rebuilt. The cut-off bag itself is never changed. Records that cannot be read, or that need more memory than
+metadata is rebuilt. The original bag is never changed. Records that cannot be read, or that need more memory than
 the limits allow, are dropped and counted.
 """
 
@@ -45,18 +45,18 @@ _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 
 @dataclass
 class Recovery:
-    """What could be read of a bag.
+    """Result of a recovery.
 
     Attributes:
-        source: Path of the bag that was read.
+        source: Path of the original bag.
         folder: Folder of the recovered bag; None if the bag is complete and nothing was written.
         messages: Number of messages by topic.
-        start: First log time [ns], None without messages.
+        start: First log time [ns]; None without messages.
         end: Last log time [ns].
-        dropped_bytes: Bytes in all files that could not be read.
-        unfinished: Names of the files that were cut off or damaged.
-        too_large: Chunks and records dropped because they need more memory than allowed.
-        foreign: Messages left out because they are not ROS 2 (JSON, protobuf, ROS 1).
+        dropped_bytes: Total number of unreadable bytes.
+        unfinished: Names of truncated or damaged files.
+        too_large: Number of chunks and records dropped because they exceed the memory limits.
+        foreign: Number of messages omitted because they are not ROS 2 (JSON, protobuf, ROS 1).
     """
 
     source: Path
@@ -73,13 +73,13 @@ class Recovery:
 def recover(
     bag: Path | str, output: Path | str | None = None, *, progress: bool = False, limits: Limits = DEFAULT_LIMITS
 ) -> Recovery:
-    """Copy the readable part of a cut-off bag to a new bag.
+    """Copy the readable part of an incomplete bag to a new bag.
 
     Args:
-        bag: The folder of the bag, or one .mcap file.
-        output: The new folder, `<bag>_recovered` if None; it must not exist.
-        progress: Show a bar on a terminal.
-        limits: Memory that the bag may take at most.
+        bag: Folder of the bag, or one .mcap file.
+        output: Folder of the new bag, which must not exist; `<bag>_recovered` if None.
+        progress: Whether to show a progress bar on a terminal.
+        limits: Memory limits.
 
     Raises:
         BagError: There is nothing readable, or the output exists or cannot be written.
@@ -148,7 +148,7 @@ class _Copy:
             self._found.unfinished.append(path.name)
 
     def add_database(self, path: Path) -> None:
-        """Copy the messages of an sqlite3 file, up to the first that cannot be read."""
+        """Copy the messages of an sqlite3 file, up to the first unreadable one."""
         try:
             with open_bag(path, self._limits) as bag:
                 for topic in bag_topics(bag):
@@ -232,7 +232,7 @@ class _Copy:
         found.end = log_time if found.end is None else max(found.end, log_time)
 
     def _records(self, stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and content of every readable record before the summary, also of those in chunks."""
+        """Yield opcode and content of every readable record before the summary, including records in chunks."""
         if stream.read(len(MAGIC)) != MAGIC:
             self._found.dropped_bytes += size
             return
@@ -274,7 +274,7 @@ class _Copy:
             self._drop(len(content))
 
     def _decompress(self, chunk: bytes, whole: bool) -> tuple[bytes, bool]:
-        """Return a chunk's records, or as many as can be decompressed, and whether they are complete."""
+        """Decompress as many of a chunk's records as possible, and return whether they are complete."""
         try:
             head = chunk_head(chunk, whole)
             if head.size > self._limits.chunk_bytes:
@@ -295,7 +295,7 @@ class _Copy:
 
 
 def _whole(source: Path, files: list[Path], limits: Limits) -> Recovery | None:
-    """Return a bag's content if all of it can be read, else None."""
+    """Return a bag's content if all of it is readable, else None."""
     if source.is_dir() and not (source / METADATA_FILE).exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""sqlite3 files, the format before MCAP: read by rosbags in bounded memory."""
+"""Reads sqlite3 files, the format before MCAP, with rosbags in bounded memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteReader:
-    """One sqlite3 file, open until `close`; attributes as in `McapReader`.
+    """An sqlite3 file, open until `close`; attributes as in `McapReader`.
 
     Raises:
         DamagedError: The file is of another kind, or damaged.
@@ -47,7 +47,7 @@ class SqliteReader:
             raise DamagedError(reason(error)) from None
 
     def messages(self, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[SerializedMessage]:
-        """Yield the messages of some topics, log times from `start` to before `stop` [ns], in their order.
+        """Yield the messages of some topics in log-time order, from `start` to before `stop` [ns].
 
         Raises:
             DamagedError: A message is damaged or too large.
@@ -70,7 +70,7 @@ class SqliteReader:
             raise DamagedError(reason(error)) from None
 
     def check(self) -> None:
-        """Do nothing: the format has no checksum."""
+        """Do nothing; the format has no checksums."""
 
     def unchecked(self) -> set[str]:
         """Return the parts of the file that have no checksum."""
@@ -87,7 +87,7 @@ def with_log(path: Path, log: Path, folder: Path, limits: Limits) -> Path:
 
     Raises:
         DamagedError: The log is damaged, or the copies need more than half of the disk's free space.
-        OSError: They cannot be copied.
+        OSError: The files cannot be copied.
     """
     copy = folder / path.name
     left = shutil.disk_usage(folder).free // 2

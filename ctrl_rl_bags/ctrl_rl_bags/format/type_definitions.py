@@ -1,6 +1,6 @@
-"""Decodes messages by the types that a bag defines.
+"""Decodes messages with the types defined in a bag.
 
-Definitions become Python code, and a few bytes may unfold to millions of objects: both are bounded here.
+Definitions are compiled to Python code, and a few bytes may unfold to millions of objects; both are bounded here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Za-z][A-Za-z0-9_]*
 _LONGEST_NAME = 255
 _LONGEST_DEFINITION = 256_000
 _LONGEST_ARRAY = 10_000
-"""Elements of an array of strings or messages: each becomes a line of code."""
+"""Maximum length of an array of strings or messages, each element of which becomes a line of code."""
 _MOST_FIXED_OBJECTS = 100_000
 _DEEPEST = 32
 _SIZES = {"8": 1, "16": 2, "32": 4, "64": 8}
@@ -29,7 +29,7 @@ _SEPARATOR = "=" * 80 + "\n"
 
 
 class Definition(NamedTuple):
-    """A type: name, definition (empty: ROS 2 Jazzy's), encoding, and type hash (empty: unknown)."""
+    """A type: name, definition (empty for ROS 2 Jazzy's), encoding, and type hash (empty if unknown)."""
 
     type: str
     text: str
@@ -38,14 +38,14 @@ class Definition(NamedTuple):
 
 
 class BagTypes:
-    """Decodes the messages of some types.
+    """Decodes the messages of a set of types.
 
     Attributes:
-        store: The types, for rosbags.
+        store: Type store for rosbags.
     """
 
     def __init__(self, definitions: Iterable[Definition]) -> None:
-        """Take the definitions of the types.
+        """Register the definitions of the types.
 
         Raises:
             DamagedError: A definition is invalid, too large, or does not match its hash.
@@ -76,7 +76,7 @@ class BagTypes:
         """Decode a message; arrays of numbers become NumPy arrays.
 
         Raises:
-            DamagedError: The bytes are not such a message, or would take too much memory.
+            DamagedError: The bytes are not such a message, or need too much memory.
         """
         cost = self._costs[kind]
         if cost.objects + len(data) * cost.objects_per_byte > MOST_OBJECTS:
@@ -88,7 +88,7 @@ class BagTypes:
 
 
 class _Cost(NamedTuple):
-    """Bounds on a decoded message: minimum numbers of objects and bytes, and maximum objects per byte of sequences."""
+    """Bounds of a decoded message: minimum numbers of objects and bytes, and maximum objects per byte of sequences."""
 
     objects: int
     least_bytes: int

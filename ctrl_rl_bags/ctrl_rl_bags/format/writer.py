@@ -1,8 +1,8 @@
-"""Writes rosbag2 folders: metadata.yaml beside .mcap files, raw CDR bytes untouched.
+"""Writes rosbag2 folders: metadata.yaml and .mcap files with unchanged CDR bytes.
 
-metadata.yaml marks a bag as complete, so it is written last. Until then everything older than `flush_s` is with the
-operating system and survives a SIGKILL; a thread calls fsync, so that a slow card delays no message. `recovery` reads a
-bag that was cut off.
+metadata.yaml marks a bag as complete, so it is written last. Until then, everything older than `flush_s` has been
+passed to the operating system and survives a SIGKILL; fsync runs in a thread, so a slow SD card delays no message.
+`recovery` reads incomplete bags.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ FLUSH_S = 0.25
 
 
 class BagWriter:
-    """Writes one bag; as a context manager it finishes the bag even after an exception.
+    """Writes one bag; as a context manager, finishes the bag even after an exception.
 
     Args:
-        folder: The bag, created with its parents; it must not exist.
-        max_file_bytes: Start the next file at about this size; 0 for one file.
-        max_file_s: Start the next file after this span of log time [s]; 0 for one file.
+        folder: Folder of the bag, created with its parents; must not exist.
+        max_file_bytes: Approximate file size at which the next file starts; 0 for one file.
+        max_file_s: Span of log time after which the next file starts [s]; 0 for one file.
         chunk_bytes: Uncompressed size of a chunk, the unit in which messages are compressed.
-        flush_s: Maximum time that a message waits in this process [s], if `flush_if_due` is called as often.
+        flush_s: Maximum time a message stays in this process [s], if `flush_if_due` is called at least as often.
         min_free_bytes: Free disk space below which writing ends with a BagError and a complete bag [bytes].
 
     Raises:
-        BagError: The folder exists or cannot be made.
+        BagError: The folder exists or cannot be created.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class BagWriter:
 
     @property
     def file(self) -> Path:
-        """The file that is being written."""
+        """The current file."""
         return self._file.path
 
     @property
@@ -90,24 +90,24 @@ class BagWriter:
 
     @property
     def bytes_on_disk(self) -> int:
-        """Size of all files so far."""
+        """Total size of all files so far [bytes]."""
         return self._finished_bytes + self._file.size
 
     @property
     def message_counts(self) -> Mapping[str, int]:
-        """Messages written, by topic, including topics without messages."""
+        """Number of messages written, by topic, including topics without messages."""
         return self._counts
 
     @property
     def message_count(self) -> int:
-        """Messages written."""
+        """Number of messages written."""
         return sum(self._counts.values())
 
     def add_topic(self, topic: Topic) -> None:
         """Add a topic, once, before its first message.
 
         Raises:
-            BagError: The topic is known already, or the disk refuses.
+            BagError: The topic already exists, or writing fails.
         """
         if topic.name in self._topics:
             raise BagError(f"{self.folder}: topic {topic.name} was added twice")
@@ -129,14 +129,14 @@ class BagWriter:
         """Write one message.
 
         Args:
-            topic: A name given to `add_topic`.
+            topic: Topic name registered with `add_topic`.
             data: CDR bytes with their 4-byte header; stored as they are.
-            log_time: When it was received [ns since the epoch].
-            publish_time: When it was sent [ns since the epoch]; the log time if None.
-            sequence: Number given by the publisher, below 2**32; 0 if there is none.
+            log_time: Reception time [ns since the epoch].
+            publish_time: Publication time [ns since the epoch]; the log time if None.
+            sequence: Publisher's sequence number, below 2**32; 0 if there is none.
 
         Raises:
-            BagError: The topic is unknown, a time is negative, or the disk refuses.
+            BagError: The topic is unknown, a time is negative, or writing fails.
         """
         try:
             channel = self._channels[topic]
@@ -164,7 +164,7 @@ class BagWriter:
             self.flush()
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Store a text with the bag: at once in the file, and in metadata.yaml on closing."""
+        """Store a text with the bag: immediately in the file, and in metadata.yaml on closing."""
         self._custom_data[key] = value
         try:
             self._file.add_metadata(CUSTOM_DATA_RECORD, {key: value})
@@ -172,15 +172,15 @@ class BagWriter:
             raise self._disk_error(error) from None
 
     def flush_if_due(self) -> None:
-        """Flush if `flush_s` has passed since the last time. Call it from a timer, for topics that fall silent."""
+        """Flush if `flush_s` has passed since the last flush; call it from a timer, in case topics fall silent."""
         if time.monotonic() >= self._flush_due:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything to the operating system and let a thread call fsync.
+        """Pass everything to the operating system and have a thread call fsync.
 
         Raises:
-            BagError: The disk refuses, or fewer than `min_free_bytes` are left.
+            BagError: Writing fails, or less than `min_free_bytes` of disk space is left.
         """
         self._flush_due = time.monotonic() + self._flush_s
         try:
@@ -200,10 +200,10 @@ class BagWriter:
             raise BagError(f"{self.folder}: stopped with only {free >> 20} MiB left on the disk; the bag can be read")
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing.
+        """Finish the bag; further calls do nothing.
 
         Raises:
-            BagError: The disk refuses; `bag recover` then finds everything that reached it.
+            BagError: Writing fails; `bag recover` then finds everything that reached the disk.
         """
         if self._closed:
             return

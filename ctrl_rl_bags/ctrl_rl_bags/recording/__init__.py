@@ -1,4 +1,4 @@
-"""Recording from a ROS graph to a bag, and playing a bag to it."""
+"""Recording bags from a ROS graph, and playing them."""
 
 import lazy_loader as lazy
 

@@ -1,7 +1,7 @@
-"""Message types by name: their Python class, the definition text that a bag keeps, and type stores for rosbags.
+"""Message types by name: Python class, definition text for bags, and type stores for rosbags.
 
-Classes and texts come from the packages on the ament index (`share/<package>/msg/*.msg`). Names come from bags and
-other machines, so `check_type` must find a name in an installed interface package before anything is imported.
+Classes and texts come from the packages on the ament index (`share/<package>/msg/*.msg`). Since names come from bags
+and other machines, `check_type` must find a name in an installed interface package before anything is imported.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ _SEPARATOR = "=" * 80
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _TYPE = re.compile(r"^([A-Za-z]\w*/)?(?:msg/)?([A-Za-z]\w*)")
 _TYPE_NAME = re.compile(r"(?!\w*__|\w*_/)[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*", re.ASCII)
-"""ROS's rule: https://design.ros2.org/articles/legacy_interface_definition.html, "Naming of messages and services"."""
+"""Naming rule of ROS: https://design.ros2.org/articles/legacy_interface_definition.html, "Naming of messages ..."."""
 _LONGEST_NAME = 255
 _LONGEST_SHOWN = 80
 
 
 class UnknownTypeError(CtrlRlError):
-    """A message type is not installed here: its package is not sourced, or not built."""
+    """A message type is not installed: its package is not sourced or not built."""
 
 
 def is_type_name(name: str) -> bool:
-    """Tell whether a text is a valid ROS name of a message type: `package/msg/Name`."""
+    """Return whether a text is a valid ROS message type name: `package/msg/Name`."""
     return len(name) <= _LONGEST_NAME and _TYPE_NAME.fullmatch(name) is not None
 
 
 def check_type(name: str) -> None:
-    """Refuse an invalid type name, or one that no installed interface package has, without importing anything.
+    """Raise if a type name is invalid or not in any installed interface package, without importing anything.
 
     Raises:
         UnknownTypeError: The type is not installed, or the name is invalid.
@@ -59,7 +59,7 @@ def message_class(name: str) -> Any:
     """Return the class of a type such as `sensor_msgs/msg/LaserScan`.
 
     Raises:
-        UnknownTypeError: It is not installed here.
+        UnknownTypeError: The type is not installed.
     """
     check_type(name)
     package, _, short = name.partition("/msg/")
@@ -73,7 +73,7 @@ def message_definition(name: str) -> str:
     """Return the definition of a type followed by those of all nested types, as in a `ros2msg` schema.
 
     Raises:
-        UnknownTypeError: A definition is not installed here.
+        UnknownTypeError: A definition is not installed.
     """
     texts = {name: _text(name)}
     waiting = [name]
@@ -109,10 +109,10 @@ def _nested(name: str, text: str) -> Iterator[str]:
 
 
 def typestore(*names: str) -> Typestore:
-    """Return a type store with Jazzy's types and these, to serialize and parse messages without their classes.
+    """Return a type store with Jazzy's and these types, to serialise and parse messages without their classes.
 
     Raises:
-        UnknownTypeError: A definition is not installed here.
+        UnknownTypeError: A definition is not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     register(store, *names)
@@ -120,10 +120,10 @@ def typestore(*names: str) -> Typestore:
 
 
 def register(store: Typestore, *names: str) -> None:
-    """Add types to a store, unless it has them.
+    """Add missing types to a store.
 
     Raises:
-        UnknownTypeError: A definition is not installed here.
+        UnknownTypeError: A definition is not installed.
     """
     for name in names:
         known = get_types_from_msg(message_definition(name), name)

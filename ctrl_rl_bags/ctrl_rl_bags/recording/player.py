@@ -1,4 +1,4 @@
-"""Plays a bag: publishes the recorded bytes at the recorded times; latched topics are latched again."""
+"""Plays a bag: publishes the recorded bytes at the recorded times; latched topics stay latched."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ctrl_rl_bags.recording.qos import is_latched, publisher_qos
 
 _DEPTH = 1000
 _LATCHED_DEPTH = 100
-"""Depth of latched topics, enough for every node's /tf_static: the middleware does not report the recorded depth."""
+"""Depth of latched topics, enough for every node's /tf_static; the middleware does not report the recorded depth."""
 _LONGEST_NS = 86_400 * 10**9
 """Gaps longer than this are skipped [ns]."""
 _CLOCK_HZ = 100.0
@@ -46,12 +46,12 @@ class PlaybackOptions:
     Attributes:
         rate: Speed as a multiple of the recording's.
         topics: Names of the topics to play; all if empty.
-        remap: New topic names by the old ones.
-        loop: Begin again at the end, until stopped.
-        clock: Publish the bag's time on /clock at 100 Hz, in place of a recorded one.
-        start_offset: Part of the bag [s] that is left out at its beginning.
-        wait: Longest time [s] to wait for a subscriber on every topic before the first message.
-        limits: Memory that the bag may take at most.
+        remap: New topic names by old names.
+        loop: Whether to restart at the end, until stopped.
+        clock: Whether to publish the bag's time on /clock at 100 Hz, in place of a recorded clock.
+        start_offset: Time to skip at the start of the bag [s].
+        wait: Maximum time to wait for a subscriber on every topic before the first message [s].
+        limits: Memory limits.
     """
 
     rate: float = 1.0
@@ -70,11 +70,11 @@ def play(bag: Path | str, how: PlaybackOptions, warn: Callable[[str], None], *, 
     Args:
         bag: Folder or file.
         how: Settings of the replay.
-        warn: Called with one line per topic that cannot be played.
-        progress: Show a bar on a terminal.
+        warn: Called with a line about each topic that cannot be played.
+        progress: Whether to show a progress bar on a terminal.
 
     Raises:
-        BagError: The bag cannot be read, a value is out of range, or nothing in it can be played.
+        BagError: The bag cannot be read, a value is out of range, or no topic can be played.
     """
     info = bag_info(bag, how.limits)
     _check(info, how)
@@ -125,7 +125,7 @@ class _Player:
         return self._info.start + int(self._how.start_offset * 1e9)
 
     def _messages(self) -> Iterator[SerializedMessage]:
-        """Yield the messages to play; first those latched before the start, as for a late subscriber."""
+        """Yield the messages to play, starting with earlier latched ones, as a late subscriber would receive."""
         if self._how.start_offset > 0.0:
             latched = [name for name in self._publishers if is_latched(self._info.topics[name].qos)]
             if latched:
@@ -134,7 +134,7 @@ class _Player:
         yield from read_raw(self._info.folder, list(self._publishers), start=start, limits=self._how.limits)
 
     def _in_rhythm(self) -> Iterator[SerializedMessage]:
-        """Yield each message when it is due, and tick /clock in between, until stopped."""
+        """Yield each message when it is due, and publish /clock in between, until stopped."""
         begin = time.monotonic()
         tick = begin
         skipped, before = 0, self._first

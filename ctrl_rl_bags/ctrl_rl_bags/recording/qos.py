@@ -1,4 +1,4 @@
-"""Converts quality of service between rclpy and bags, to record, subscribe and publish.
+"""Converts QoS between rclpy and bags, for recording, subscribing and publishing.
 
 As in rosbag2, a request must match every publisher, and an offer every subscriber.
 """
@@ -15,7 +15,7 @@ from ctrl_rl_bags.format.metadata import Qos
 
 
 def to_bag_qos(profile: QoSProfile) -> Qos:
-    """Return an offered profile in a bag's form."""
+    """Convert an offered profile to a bag's form."""
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,
@@ -30,20 +30,20 @@ def to_bag_qos(profile: QoSProfile) -> Qos:
 
 
 def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
-    """Return the strongest request that all offers satisfy: reliable or latched only if all offers are."""
+    """Return the strongest request satisfied by all offers: reliable or latched only if all offers are."""
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
     return _profile(reliable, latched, depth)
 
 
 def publisher_qos(recorded: Sequence[Qos], depth: int) -> QoSProfile:
-    """Return a profile that matches every subscriber the recorded ones matched; reliable if none was recorded."""
+    """Return a profile that matches every subscriber of the recorded ones; reliable if none was recorded."""
     reliable = not recorded or any(profile["reliability"] != "best_effort" for profile in recorded)
     return _profile(reliable, is_latched(recorded), depth)
 
 
 def is_latched(recorded: Sequence[Qos]) -> bool:
-    """Whether late subscribers got the last messages."""
+    """Return whether late subscribers receive the last messages."""
     return any(profile["durability"] == "transient_local" for profile in recorded)
 
 

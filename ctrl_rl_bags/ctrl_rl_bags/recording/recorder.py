@@ -1,7 +1,7 @@
-"""Follows the ROS graph and writes all published messages to a bag.
+"""Monitors the ROS graph and writes all published messages to a bag.
 
-`TopicRecorder` subscribes to topics as they appear; `ParameterCollector` asks every node for its parameters.
-Both are driven by calling `discover` a few times a second.
+`TopicRecorder` subscribes to topics as they appear; `ParameterCollector` requests the parameters of every node. Call
+`discover` of both a few times per second.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from ctrl_rl_bags.recording.qos import subscription_qos, to_bag_qos
 from ctrl_rl_bags.recording.write_queue import BagQueue
 
 _TAKE_AT_ONCE = 200
-"""Messages taken from one topic before the next topic's turn."""
+"""Maximum number of messages taken from one topic before the next topic's turn."""
 _PAUSE_S = 0.02
-"""Pause between two rounds [s], to take many messages at once: a round of the executor costs as much as 20."""
+"""Pause between two rounds [s], to take many messages at once; an executor round costs as much as 20 messages."""
 _PATIENCE_S = 1.0
-"""Time after which a node that has not answered is asked for its parameters again [s]."""
+"""Time after which an unanswered parameter request is repeated [s]."""
 
 
 @dataclass
 class _Recorded:
-    """A topic that is being recorded."""
+    """A topic being recorded."""
 
     type_name: str
     type: Any
@@ -48,15 +48,15 @@ class _Recorded:
 
 
 class TopicRecorder:
-    """Subscribes to every selected topic that has a publisher and writes its bytes untouched.
+    """Subscribes to every selected topic that has a publisher, and writes its bytes unchanged.
 
-    A bag has one type per topic: if all publishers of a topic change its type, recording goes on under
+    A bag has one type per topic: if all publishers of a topic change its type, recording continues under
     `<topic>/as/<package>/<Name>`.
 
     Attributes:
-        lost: Messages that the middleware reports as lost.
-        skipped: Reason by name of each topic that is not recorded.
-        retyped: New name in the bag of each topic whose type has changed.
+        lost: Number of messages that the middleware reports as lost.
+        skipped: Reasons for topics not recorded, by name.
+        retyped: New names of topics with a changed type.
     """
 
     def __init__(self, node: Node, queue: BagQueue, selected: Callable[[str], bool], queue_depth: int) -> None:
@@ -73,7 +73,7 @@ class TopicRecorder:
         self._refused: set[tuple[str, str]] = set()
 
     def discover(self) -> None:
-        """Subscribe to new topics; weaken a request if a new publisher offers less."""
+        """Subscribe to new topics; relax a QoS request if a new publisher offers less."""
         for name, types in self._node.get_topic_names_and_types():
             if name in self._recorded:
                 self._adapt(name, types)
@@ -86,7 +86,7 @@ class TopicRecorder:
             self._take(recorded, limit=self._queue_depth)
 
     def _take_round(self) -> None:
-        """Write what has arrived on all topics; pause unless a topic has more."""
+        """Write the messages that have arrived on all topics; pause unless a topic has more."""
         emptied = [self._take(recorded, _TAKE_AT_ONCE) for recorded in self._recorded.values()]
         if all(emptied):
             time.sleep(_PAUSE_S)
@@ -128,7 +128,7 @@ class TopicRecorder:
         self._say_others(name, type_name, publishers)
 
     def _adapt(self, name: str, types: list[str]) -> None:
-        """Follow changes in a topic's publishers."""
+        """Adapt to changes in a topic's publishers."""
         recorded = self._recorded[name]
         count = self._node.count_publishers(name)
         if count == recorded.publishers and types == [recorded.type_name]:
@@ -180,7 +180,7 @@ class TopicRecorder:
         return self._node.create_subscription(kind, name, received, qos, raw=True, event_callbacks=events)
 
     def _take(self, recorded: _Recorded, limit: int) -> bool:
-        """Write up to `limit` waiting messages of a topic; return whether none is left."""
+        """Write up to `limit` pending messages of a topic; return whether none is left."""
         handle = recorded.subscription.handle
         with handle:
             for _ in range(limit):
@@ -197,9 +197,9 @@ class TopicRecorder:
 
 
 class ParameterCollector:
-    """Asks every node for its parameters and stores them as custom data `parameters.<node>`.
+    """Requests the parameters of every node and stores them as custom data `parameters.<node>`.
 
-    A node that never answers is left out. Later changes are on /parameter_events.
+    A node that never answers is omitted. Later changes are on /parameter_events.
     """
 
     def __init__(self, node: Node, queue: BagQueue) -> None:
@@ -209,7 +209,7 @@ class ParameterCollector:
         self._known: set[str] = set()
 
     def discover(self) -> None:
-        """Ask new nodes once their services are up, and again until they answer."""
+        """Send requests to new nodes once their services are up, and repeat them until answered."""
         present = {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
@@ -228,9 +228,9 @@ class ParameterCollector:
 
 
 class _ParameterQuestion:
-    """Asks one node for its parameters until the answer arrives.
+    """Requests the parameters of one node until the answer arrives.
 
-    A node may answer before it has discovered this one; that answer is lost, so the question is repeated.
+    A node may answer before it has discovered this one; that answer is lost, so the request is repeated.
     """
 
     def __init__(self, node: Node, name: str, keep: Callable[[dict[str, Any]], None]) -> None:
@@ -240,14 +240,14 @@ class _ParameterQuestion:
         self._asked = -math.inf
 
     def ask(self) -> None:
-        """Ask if the services are up and the last question has timed out."""
+        """Send the request if the services are up and the last request has timed out."""
         ready = self._list.service_is_ready() and self._get.service_is_ready()
         if ready and time.monotonic() - self._asked > _PATIENCE_S:
             self._asked = time.monotonic()
             self._call(self._list, ListParameters.Request(), self._listed)
 
     def close(self) -> None:
-        """Stop asking."""
+        """Stop requesting."""
         self._node.destroy_client(self._list)
         self._node.destroy_client(self._get)
 

@@ -1,4 +1,4 @@
-"""The node that records a run: `ros2 run ctrl_rl_bags recorder --ros-args -p output:=runs/today`."""
+"""Node that records a run: `ros2 run ctrl_rl_bags recorder --ros-args -p output:=runs/today`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 
 _DISCOVERY_S = 0.2
 _PATIENCE_S = 4.0
-"""Time to write the queued messages when the recorder stops [s]."""
+"""Time limit for writing the queued messages when the recorder stops [s]."""
 
 
 class RecorderNode(SuiteNode):
-    """Records topics, the parameters of all nodes, and the digests of their files, as one bag."""
+    """Records topics, the parameters of all nodes, and the digests of their files, in one bag."""
 
     QUICK = False
     FATAL = (BagError,)
@@ -89,7 +89,7 @@ class RecorderNode(SuiteNode):
         return ok("recording", **values)
 
     def stop(self) -> None:
-        """Finish the bag and log its content in one line."""
+        """Finish the bag and log a one-line summary."""
         self._topics.drain()
         finished = True
         try:
@@ -113,7 +113,7 @@ class RecorderNode(SuiteNode):
 
 
 class _Selection:
-    """Decides which topics are recorded."""
+    """Selects the topics to record."""
 
     def __init__(self, names: set[str], exclude: list[re.Pattern[str]], hidden: bool) -> None:
         self._names = names
@@ -129,7 +129,7 @@ class _Selection:
 
 
 def _texts(values: list[str]) -> list[str]:
-    """Drop empty texts: in ROS, [""] stands for an empty list, whose type is unknown."""
+    """Drop empty texts: in ROS, [""] represents an empty list, which has no type otherwise."""
     return [value for value in values if value]
 
 

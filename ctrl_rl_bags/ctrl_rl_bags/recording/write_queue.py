@@ -1,4 +1,4 @@
-"""A bounded queue, written to a bag by a thread, so that a slow disk neither delays callbacks nor fills the memory.
+"""A bounded queue written to a bag by a thread, so that a slow disk neither delays callbacks nor fills the memory.
 
 Messages that do not fit are dropped and counted.
 """
@@ -15,19 +15,19 @@ from ctrl_rl_bags.format.metadata import Topic
 from ctrl_rl_bags.format.writer import FLUSH_S, BagWriter
 
 _OVERHEAD = 200
-"""Memory that an entry takes besides its message [bytes]."""
+"""Memory of an entry besides its message [bytes]."""
 
 
 class BagQueue:
-    """Passes messages to a `BagWriter`, which belongs to the queue: other code may only read its counts.
+    """Passes messages to its own `BagWriter`, of which other code may only read the counts.
 
     Args:
         writer: Writer of the bag, used by one thread.
         max_bytes: Maximum memory of the queue [bytes].
-        on_drop: Called with a topic's name when its first message is dropped.
+        on_drop: Called with the topic name when the first message of a topic is dropped.
 
     Attributes:
-        dropped: Messages dropped, by topic.
+        dropped: Number of messages dropped, by topic.
     """
 
     def __init__(self, writer: BagWriter, max_bytes: int, on_drop: Callable[[str], None] = lambda _topic: None) -> None:
@@ -47,11 +47,11 @@ class BagQueue:
 
     @property
     def waiting_bytes(self) -> int:
-        """Memory of the waiting messages [bytes]."""
+        """Memory of the queued messages [bytes]."""
         return self._bytes
 
     def add_topic(self, topic: Topic) -> None:
-        """Add a topic, before its first message."""
+        """Add a topic before its first message."""
         self._put("", 0, lambda: self._writer.add_topic(topic))
 
     def set_custom_data(self, key: str, value: str) -> None:
@@ -66,7 +66,7 @@ class BagQueue:
         """Raise the error that stopped writing, if any.
 
         Raises:
-            BagError: The disk refuses.
+            BagError: Writing failed.
         """
         if self._error is not None:
             raise self._error
@@ -75,10 +75,10 @@ class BagQueue:
         """Write queued messages for at most `patience` [s], drop the rest, and finish the bag.
 
         Returns:
-            Whether the bag is finished; False if the disk does not answer for twice as long.
+            Whether the bag is finished; False if the disk does not respond for twice that time.
 
         Raises:
-            BagError: The disk refuses.
+            BagError: Writing fails.
         """
         with self._changed:
             self._closing, self._deadline = True, time.monotonic() + patience
@@ -104,7 +104,7 @@ class BagQueue:
             self._on_drop(name)
 
     def _work(self) -> None:
-        """Write queued messages, flushing when due, until the queue closes or an error occurs; then finish the bag."""
+        """Write queued messages, flushing when due, until the queue closes or an error occurs; finish the bag."""
         try:
             while self._step():
                 pass
