@@ -1,4 +1,4 @@
-"""Lets commands through to a robot as far as they are provably recoverable."""
+"""Safety filter: modifies commands so that the robot can provably always stop without contact."""
 
 import lazy_loader as lazy
 

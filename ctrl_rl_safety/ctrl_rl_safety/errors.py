@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class SafetyError(CtrlRlError):
-    """A robot model, a bag or an option cannot be used; the message is the reason."""
+    """A robot model, a bag or an option is unusable; the message gives the reason."""

@@ -1,7 +1,8 @@
-"""ros2 launch ctrl_rl_safety safety_filter.launch.py: safety filter and watchdog between any driver and a real robot.
+"""Launch file with safety filter and watchdog between any driver and a real robot.
 
-The driver publishes cmd_vel_raw, the filter cmd_vel_safe, the watchdog cmd_vel. Each is started again when it dies, and
-begins with zeros. The driver, the robot and a localiser are started elsewhere.
+Run it with `ros2 launch ctrl_rl_safety safety_filter.launch.py`. The driver publishes cmd_vel_raw, the filter
+cmd_vel_safe, the watchdog cmd_vel. Each node is restarted when it dies, and starts by sending zeros. The driver, the
+robot and a localiser are started elsewhere.
 """
 
 from launch import LaunchDescription
@@ -25,7 +26,7 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return filter and watchdog."""
+    """Return the launch description of filter and watchdog."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     both = {
         "enable_stamped_cmd_vel": ParameterValue(given["stamped"], value_type=bool),

@@ -1,4 +1,4 @@
-"""The command `identify`: constants of one's own robot from a bag, as a file that the filter reads."""
+"""The command `identify`: measures the constants of a robot from a bag, and writes a file for the filter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ctrl_rl_safety.identification.fit import fit_drives
 from ctrl_rl_safety.models.robot_model import UNITS, RobotModel
 
 _MUCH = 0.1
-"""Part of the variance that a model should not leave."""
+"""Unexplained fraction of the variance above which a model is rejected as poor."""
 _MEASURED = (
     *("speed", "reverse_speed", "turn_rate", "acceleration", "braking", "turn_acceleration"),
     *("lag", "delay", "disturbance"),
@@ -29,26 +29,26 @@ _MEASURED = (
 class Identify:
     """Measure a robot's acceleration, braking, turn acceleration, delay, top speeds and disturbance from a bag.
 
-    The bag needs the commands and the odometry of a drive of half a minute or more with starts, stops, turns and top
-    speeds. What a drive does not show (radius, errors of the lidar) is an option.
+    The bag must contain commands and odometry of a drive of at least half a minute with starts, stops, turns and top
+    speeds. Values that a drive does not reveal (radius, lidar errors) are options.
     """
 
     bag: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BAG")]
     """Bag with commands and odometry."""
     radius: FiniteNumber
-    """Radius of the disc around the robot's middle that holds all of it [m]."""
+    """Radius of the disc around the robot's centre that encloses the robot [m]."""
     output: FileToWrite = Path("robot.yaml")
-    """File to write, for the filter's parameter robot."""
+    """File to write, for the filter's parameter `robot`."""
     track: FiniteNumber = 0.0
-    """Distance between two driven wheels, whose force limits speed and turn rate together [m]; 0 for limits apart."""
+    """Distance between two driven wheels whose force limits speed and turn rate together [m]; 0 for separate limits."""
     commands: str = ""
     """Topic of the commands (default: the one named cmd_vel)."""
     odometry: str = ""
     """Topic of the odometry (default: the one named odom)."""
     range_error: FiniteNumber = 0.03
-    """Bound of the error of the lidar's echoes [m]."""
+    """Bound of the position error of lidar echoes [m]."""
     scan_age: FiniteNumber = 0.0
-    """Bound of the time by which an echo is older than the stamp of its scan says [s]."""
+    """Bound of the time by which an echo is older than its scan's stamp [s]."""
 
 
 def _identify(options: Identify) -> int:

@@ -1,4 +1,4 @@
-"""From a raw command to the nearest one that has a certified escape, without ROS."""
+"""Maps a raw command to the nearest command with a certified escape. No ROS."""
 
 import lazy_loader as lazy
 

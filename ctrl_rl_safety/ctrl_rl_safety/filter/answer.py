@@ -1,4 +1,4 @@
-"""The answer to a raw command: the command itself, a turn to unblock the robot, a nearby command, or braking."""
+"""Chooses the answer to a raw command: the command itself, an unblocking turn, a nearby command, or braking."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ Array = NDArray[np.float64]
 PASSED, CORRECTED, ESCAPING, UNBLOCKING = 1, 2, 3, 4
 _SPEEDS, _TURNS = 13, 15
 _LAST = 0.05
-"""Weight of the distance to the last command, to which ties go."""
+"""Weight of the distance to the last command, used to break ties."""
 _RISE = 0.2
-"""Part of the acceleration with which a corrected speed rises."""
+"""Fraction of the acceleration with which a corrected speed rises."""
 _REFINEMENTS = 4
 _ASIDE = math.radians(45.0)
-"""Turn from the heading with which a wanted command last passed up to which braking turns a disc that stands [rad]."""
+"""Maximum rotation from the heading of the last passed command while braking rotates a disc at rest [rad]."""
 _STEADY = 0.3
-"""Part of a speed down to which it is slowed so that it lasts until the next scan; below that it rises and falls."""
+"""Fraction of a speed down to which it is lowered so that it lasts until the next scan; below, it fluctuates."""
 
 
 class Request(NamedTuple):
     """A requested command, with the limits and the state of the filter.
 
     Attributes:
-        raw: Command that is wanted, within the limits [m/s, rad/s].
-        last: Command that was sent last [m/s, rad/s].
-        corrected: Whether that one was not the raw one.
-        turn: Turn rate that would unblock a robot that is held; 0 for none [rad/s].
-        hysteresis: Margin that lets a command pass again after a correction [m].
-        patience: Time steps for which a corrected command should be certified, and a raw one must be to pass again.
-        first: Kind of the escape that is tried first.
-        slowest: Least speed that may be commanded [m/s].
-        fastest: Largest speed that may be commanded [m/s].
-        acceleration: Largest change of the speed away from zero [m/s^2].
-        braking: Largest change of the speed towards zero [m/s^2].
-        turn_acceleration: Largest change of the turn rate [rad/s^2].
-        turned: Turn of the robot since a wanted command last passed [rad].
-        escape: Turn rate with which the last certified escape goes on; NaN for none [rad/s].
-        noise: Margin that the noise of two scans may take from a certified escape [m].
+        raw: Requested command, within the limits [m/s, rad/s].
+        last: Last command sent [m/s, rad/s].
+        corrected: Whether the last command differed from the raw one.
+        turn: Turn rate that would unblock a blocked robot; 0 for none [rad/s].
+        hysteresis: Margin required for a command to pass again after a correction [m].
+        patience: Number of time steps for which a corrected command should be certified, and a raw command must be
+            certified to pass again.
+        first: Kind of escape to try first.
+        slowest: Minimum commanded speed [m/s].
+        fastest: Maximum commanded speed [m/s].
+        acceleration: Maximum rate of change of the speed away from zero [m/s^2].
+        braking: Maximum rate of change of the speed towards zero [m/s^2].
+        turn_acceleration: Maximum angular acceleration [rad/s^2].
+        turned: Rotation of the robot since a requested command last passed [rad].
+        escape: Turn rate that continues the last certified escape; NaN for none [rad/s].
+        noise: Margin of a certified escape that noise between two scans may consume [m].
     """
 
     raw: tuple[float, float]
@@ -75,10 +76,10 @@ class Answer(NamedTuple):
 
     Attributes:
         v: Speed to send [m/s].
-        omega: Turn rate [rad/s].
+        omega: Turn rate to send [rad/s].
         mode: One of PASSED, CORRECTED, ESCAPING and UNBLOCKING.
         margin: Margin of the certificate [m].
-        value: Margin of the state by the recoverable set [m]; NaN without one.
+        value: Margin of the state according to the recoverable set [m]; NaN without a set.
         kind: Kind of the escape.
         state: State when the command has its first effect.
     """
@@ -94,7 +95,7 @@ class Answer(NamedTuple):
 
 @njit
 def _numbers(low: float, high: float, count: int, wanted: float) -> Any:
-    """Return numbers from low to high, with zero and the wanted one among them where they lie between."""
+    """Return evenly spaced values from low to high, including zero and the requested value if in range."""
     out = np.empty(count + 2)
     for k in range(count):
         out[k] = low + (high - low) * k / (count - 1)
@@ -105,7 +106,7 @@ def _numbers(low: float, high: float, count: int, wanted: float) -> Any:
 
 @njit
 def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float], wanted: tuple[float, float]) -> Any:
-    """Return the speeds and turn rates that the robot's limits tell apart until the next command."""
+    """Return distinguishable speeds and turn rates within the robot's limits until the next command."""
     time = sit.motion.step * (sit.hold + 1.0 / sit.motion.share)
     up, down = ask.acceleration * time, max(ask.acceleration, ask.braking) * time
     around = ask.turn_acceleration * time
@@ -134,7 +135,7 @@ def _towards(
     margin: float,
     kind: int,
 ) -> Any:
-    """Return the command nearest to the wanted one, on the line from a certified one, with its margin and escape."""
+    """Return the command nearest to the requested one on the line from a certified one, with its margin and escape."""
     share, step = 0.0, 0.5
     for _ in range(_REFINEMENTS):
         tried = share + step
@@ -150,10 +151,10 @@ def _towards(
 def _nearest(
     sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float, wanted: tuple[float, float]
 ) -> Any:
-    """Return the certified command nearest to a wanted one, its margin and its escape; a margin below zero for none.
+    """Return the certified command nearest to a requested one, with margin and escape; margin < 0 for none.
 
-    A command that stays certified until the next scan need not be withdrawn as this scan ages. If the nearest command
-    does not, it is slowed until it does, unless that would almost stop the robot.
+    A command that stays certified until the next scan need not be withdrawn as the scan ages. If the nearest command
+    does not stay certified, it is slowed down until it does, unless that would nearly stop the robot.
     """
     speeds, turns = _window(sit, ask, state, wanted)
     wide_v, wide_w = max(speeds.max() - speeds.min(), 1e-3), max(turns.max() - turns.min(), 1e-3)
@@ -188,7 +189,7 @@ def _nearest(
 
 @njit
 def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return full braking with the turn rate that leaves the largest margin, that margin, and the kind of its escape.
+    """Return full braking with the turn rate of largest margin, that margin, and the kind of its escape.
 
     The turn rates tried include those that continue any escape certified earlier. Turning a disc at rest takes no
     space: the disc turns as requested if the raw command stops it, and by at most `_ASIDE` otherwise. A rectangle at
@@ -211,15 +212,15 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 
 @njit
 def _changed(sit: Any, growth: Any, core: tuple[float, float], rooms: tuple[float, float], close: bool) -> Any:
-    """Return a situation with other bounds of motion, and another robot in it; machine code has no `_replace`."""
+    """Return a situation with other motion bounds and another robot; `_replace` is unavailable in compiled code."""
     return Situation(sit.obstacles, growth, sit.motion, sit.guide, core, rooms, close, sit.hold, sit.turn_rate, sit.lag)
 
 
 @njit
 def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
-    """Return the situation of a robot at a place, which counts from there where it has less room than it needs.
+    """Return the situation relative to the robot's present clearance, if that is less than required.
 
-    The disturbance is left out then: a robot that stands must be able to turn, and to go where there is more room.
+    The disturbance is then omitted: a robot at rest must be able to turn and to move to more open space.
     """
     room = sit.rooms[1]
     if margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, t, (room, -FAR)) >= 0.0:
@@ -231,7 +232,7 @@ def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
 
 @njit
 def _smaller(sit: Any, by: float) -> Any:
-    """Return the situation of a robot that is smaller on each side by a distance [m]."""
+    """Return the situation of a robot that is smaller by a distance on each side [m]."""
     core, rooms = sit.core, sit.rooms
     if core[0] > 0.0:
         core = (max(core[0] - by, AWAY), max(core[1] - by, AWAY))
@@ -242,7 +243,7 @@ def _smaller(sit: Any, by: float) -> Any:
 
 @njit
 def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> bool:
-    """Return whether an earlier certified escape must be kept; a disc at rest needs none."""
+    """Return whether the previous certified escape must be kept; a disc at rest needs none."""
     return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
 
 
@@ -252,10 +253,10 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
 
     Args:
         sit: Echoes, motion and set.
-        ask: The command that is wanted.
-        begin: State by odometry (5,).
+        ask: Requested command.
+        begin: State from odometry (5,).
         t: Age of the echoes at that state [s].
-        commands: Commands of each time step until a new one has an effect (n, 2).
+        commands: Commands in each time step until a new one takes effect (n, 2).
     """
     state = (begin[0], begin[1], begin[2], begin[3], begin[4])
     first = FAR

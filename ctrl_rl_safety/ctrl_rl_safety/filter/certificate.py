@@ -1,4 +1,4 @@
-"""Certifies a command: simulates it until the next one can take effect, then an escape until the robot has stopped.
+"""Certifies a command by simulating it until the next one can take effect, then an escape until the robot stops.
 
 At each time step the robot, a disc or a rectangle, is checked against all inflated echoes. Half the distance covered
 between two steps is added to the required clearance, so that the motion in between is covered too. A command is
@@ -23,25 +23,25 @@ from ctrl_rl_safety.sets.recoverable_set import value_at
 Array = NDArray[np.float64]
 
 FAMILY = 5
-"""Escapes of a constant turn rate; the first one after them is chosen by the recoverable set."""
+"""Number of constant-turn-rate escapes; the one after them is given by the recoverable set."""
 MOST_STEPS = 1000
 _TURNS = 7
 AWAY = 1e-3
-"""Least gain of a motion that begins too near to something [m]."""
+"""Minimum gain in distance of a motion that starts too close to an obstacle [m]."""
 BAND = 0.08
-"""Difference of two distances that noise may turn round [m]: such a motion gains on all echoes so near."""
+"""Difference between two distances that noise may invert [m]; a motion must gain on all echoes within it."""
 
 
 class Guide(NamedTuple):
-    """The recoverable set, for compiled code.
+    """The recoverable set in the form used by compiled code.
 
     Attributes:
-        values: Values of the set; one node where there is none.
+        values: Values of the set; a single node without a set.
         x: Position of its first column [m].
         y: Position of its first row [m].
-        cell: Distance of its nodes [m].
+        cell: Node spacing [m].
         top: Speed of its last level [m/s].
-        ready: Whether there is a set.
+        ready: Whether a set is available.
     """
 
     values: NDArray[np.float32]
@@ -59,15 +59,16 @@ class Situation(NamedTuple):
     """All inputs of a certificate.
 
     Attributes:
-        obstacles: Echoes in the frame of the odometry.
+        obstacles: Echoes in the odometry frame.
         growth: Bounds of motion.
-        motion: Motion of the robot for one time step.
+        motion: Motion model of the robot for one time step.
         guide: Recoverable set, if any.
         core: Half the length and width of the robot's rectangle [m]; zeros for a disc.
-        rooms: Distance that the core needs to echoes that stay, and to moving ones [m].
-        close: Whether the robot begins with less room than it needs; it may then only turn, or go where there is more.
-        hold: Time steps until the command after this one has an effect.
-        turn_rate: Largest turn rate [rad/s].
+        rooms: Required distance of the core to static and to moving echoes [m].
+        close: Whether the robot starts with less clearance than required; it may then only turn or move to more open
+            space.
+        hold: Number of time steps until the following command takes effect.
+        turn_rate: Maximum turn rate [rad/s].
         lag: Time constant of the speeds [s].
     """
 
@@ -85,13 +86,13 @@ class Situation(NamedTuple):
 
 @njit(inline="always")
 def outer_speed(v: float, omega: float, core: tuple[float, float]) -> float:
-    """Return a bound of the speed of all places of the robot [m/s]; a disc that turns moves none to another place."""
+    """Return a bound on the speed of all points of the robot [m/s]; a rotating disc covers no new area."""
     return abs(v) + math.hypot(core[0], core[1]) * abs(omega)
 
 
 @njit(inline="always")
 def _checked(sit: Any, state: tuple[float, float, float, float, float], t: float) -> float:
-    """Return the margin of a state; a robot at rest is not blamed for obstacles that approach it."""
+    """Return the margin of a state; at rest, approaching obstacles are not counted."""
     x, y, theta, v, omega = state
     speed = outer_speed(v, omega, sit.core)
     slack = 0.5 * speed * sit.motion.step
@@ -103,7 +104,7 @@ def _checked(sit: Any, state: tuple[float, float, float, float, float], t: float
 def hold(
     sit: Any, state: tuple[float, float, float, float, float], t: float, v_c: float, omega_c: float, steps: int
 ) -> Any:
-    """Return the state, the time and the least margin after some steps of one command."""
+    """Return the state, the time and the minimum margin after holding a command for some steps."""
     least = FAR
     for _ in range(steps):
         x, y, theta, v, omega = state
@@ -115,7 +116,7 @@ def hold(
 
 @njit
 def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> float:
-    """Return the turn rate whose next state has the largest value while braking [rad/s]."""
+    """Return the turn rate whose next state has the highest value while braking [rad/s]."""
     best, most = 0.0, -FAR
     for k in range(_TURNS):
         turn = sit.turn_rate * (2.0 * k / (_TURNS - 1) - 1.0)
@@ -134,16 +135,16 @@ def best_turn(sit: Any, state: tuple[float, float, float, float, float]) -> floa
 def _escape_turn(
     sit: Any, state: tuple[float, float, float, float, float], kind: int, step: int, before: float
 ) -> float:
-    """Return the turn rate to command in a step of an escape [rad/s]; a rectangle at rest stops turning, too.
+    """Return the turn rate to command in a step of an escape [rad/s]; a rectangle at rest also stops turning.
 
-    The turn rate changes only when a new command may be sent, so that the robot can drive what was certified.
+    The turn rate changes only when a new command may be sent, so that the robot can execute the certified escape.
 
     Args:
-        sit: Motion and set.
+        sit: Motion model and set.
         state: State before the step.
         kind: Kind of the escape.
-        step: Number of the step.
-        before: Turn rate of the step before [rad/s].
+        step: Index of the step.
+        before: Turn rate of the previous step [rad/s].
     """
     if step % sit.hold:
         return before
@@ -158,7 +159,7 @@ def _escape_turn(
 
 @njit
 def _escape(sit: Any, state: tuple[float, float, float, float, float], t: float, kind: int, floor: float) -> float:
-    """Return the least margin of an escape; it may be any number below `floor` once it is below."""
+    """Return the minimum margin of an escape, or any value below `floor` if it falls below."""
     turn = 0.0
     least = FAR
     for k in range(MOST_STEPS):
@@ -174,7 +175,7 @@ def _escape(sit: Any, state: tuple[float, float, float, float, float], t: float,
 
 @njit
 def _tried(kind: int, first: int, ready: bool) -> bool:
-    """Return whether an escape is tried besides the first one; where there is a set, it stands for most of them."""
+    """Return whether to try an escape besides the first one; a set replaces most of them."""
     if kind == first:
         return False
     return kind == FAMILY or kind == 0 if ready else kind < FAMILY
@@ -184,9 +185,9 @@ def _tried(kind: int, first: int, ready: bool) -> bool:
 def escape_from(
     sit: Any, state: tuple[float, float, float, float, float], t: float, first: int, needed: float
 ) -> tuple[float, int]:
-    """Return margin and kind of the first escape with the margin needed, or of the best one.
+    """Return margin and kind of the first escape with the required margin, or else of the best one.
 
-    With a margin that can be reached, an escape is given up once it falls short of it.
+    If the required margin is attainable, an escape is abandoned as soon as it falls below it.
     """
     if first == FAMILY and not sit.guide.ready:
         first = 0
@@ -206,7 +207,7 @@ def escape_from(
 
 @njit
 def nears(points: Any, begin: Any, end: Any, core: tuple[float, float]) -> bool:
-    """Return whether a motion comes nearer to any of the nearest echoes, among which noise may change the order."""
+    """Return whether a motion approaches any of the nearest echoes, including those that noise may reorder."""
     nearest = distance_to(points, begin[0], begin[1], begin[2], core) + BAND
     c, s, next_c, next_s = math.cos(begin[2]), math.sin(begin[2]), math.cos(end[2]), math.sin(end[2])
     for i in range(points.shape[1]):
@@ -218,7 +219,7 @@ def nears(points: Any, begin: Any, end: Any, core: tuple[float, float]) -> bool:
 
 @njit
 def _gains(sit: Any, begin: tuple[float, float, float, float, float], end: Any) -> float:
-    """Return the distance by which a motion gets away from what stays [m]; none where it nears any of the nearest."""
+    """Return the distance gained from static echoes [m]; zero if the motion approaches any of the nearest."""
     obstacles, core, rooms = sit.obstacles, sit.core, (sit.rooms[0], -FAR)
     gained = margin_at(obstacles, sit.growth, core, end[0], end[1], end[2], 0.0, rooms)
     gained -= margin_at(obstacles, sit.growth, core, begin[0], begin[1], begin[2], 0.0, rooms)
@@ -240,13 +241,13 @@ def certify(
     """Return the margin of a command [m] and the kind of its escape.
 
     Args:
-        sit: Echoes, motion and set.
+        sit: Echoes, motion model and set.
         state: State when the command has its first effect.
-        t: Age of the echoes then [s].
+        t: Age of the echoes at that time [s].
         command: Speed [m/s] and turn rate [rad/s].
-        steps: Time steps for which it is held.
-        first: Kind of the escape that is tried first.
-        needed: Margin that is enough [m].
+        steps: Number of time steps for which the command is held.
+        first: Kind of escape to try first.
+        needed: Sufficient margin [m].
     """
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
     if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # a creep below STANDS would add up
@@ -261,7 +262,7 @@ def certify(
 
 @njit
 def hopeless(sit: Any, state: tuple[float, float, float, float, float], command: tuple[float, float]) -> bool:
-    """Return whether the set says that no escape can follow a command, so that looking for one is in vain."""
+    """Return whether the recoverable set rules out any escape after a command, so that none need be tried."""
     guide = sit.guide
     if not guide.ready or sit.close:
         return False
@@ -275,9 +276,9 @@ def hopeless(sit: Any, state: tuple[float, float, float, float, float], command:
 
 @cached_njit
 def escape_path(sit: Any, state: Any, command: tuple[float, float], kind: int) -> Array:
-    """Return the states (n, 5) of a command until the next one and of the escape after it, until the robot stands.
+    """Return the states (n, 5) of a command, then of its escape, until the robot stops.
 
-    In place of the turn rates stand those that are commanded.
+    The turn rates in the states are the commanded ones.
     """
     out = np.empty((sit.hold + MOST_STEPS, 5))
     turn, count = command[1], 0

@@ -1,7 +1,7 @@
-"""The turn rate that leads a robot past what its wanted command would take it too near to.
+"""Chooses a turn rate that leads the robot around obstacles on the way of the requested command.
 
-The nearest certified command alone is short-sighted: it slows a robot until it stands in front of somebody whom it
-could pass. Which command goes out is still a matter of certificates; this only says which of them is wanted.
+The nearest certified command alone is short-sighted: the robot slows down and stops in front of a person whom it could
+pass. The detour only changes the preferred command; certificates still decide which command is sent.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from ctrl_rl_safety.sets.distance_field import FAR, margin_at
 
 _HEADINGS = 31
 _WIDEST = math.radians(75.0)
-"""Largest turn from the heading with which a wanted command last passed [rad]: what stands straight across the way is
-no reason to drive somewhere else."""
+"""Maximum rotation from the heading of the last passed command [rad]: a blocked way is no reason to drive somewhere
+else."""
 _AHEAD = 1.5
-"""Time whose way must be free along a heading [s]."""
+"""Time for which the way along a heading must be free [s]."""
 _PLACES = 8
 _LOOK = 0.5
-"""Time for which the wanted turn rate counts as a wish for a heading [s]."""
+"""Time for which the requested turn rate is interpreted as a desired heading [s]."""
 _OWN = 0.5
-"""Weight of the turn from the robot's heading, over that from the wanted one: it keeps to the side that it chose."""
+"""Weight of the rotation from the robot's heading relative to that from the requested one; keeps the chosen side."""
 _TURN_TIME = 0.4
-"""Time in which the robot should have the heading [s]."""
+"""Time in which the robot should reach the heading [s]."""
 _LOSS = 0.01
-"""Margin that may be lost on the way [m]: echoes have noise."""
+"""Margin that may be lost on the way because of noisy echoes [m]."""
 _TURN_COST = 0.015
-"""Margin that a turn of one radian must bring [m]."""
+"""Margin that must be gained per radian of rotation [m]."""
 
 
 @njit
 def _room(sit: Any, state: tuple[float, float, float, float, float], t: float, heading: float, way: float) -> float:
-    """Return the mean margin of a straight way up to none [m]; -FAR where it leads nearer than the robot may come.
+    """Return the mean margin of a straight path, capped at zero [m]; -FAR if the path comes too close.
 
-    What moves is left out: a robot waits until that has passed.
+    Moving echoes are ignored, because the robot waits for them to pass.
     """
     x, y, theta = state[0], state[1], state[2]
     c, s, rooms = math.cos(heading), math.sin(heading), (sit.rooms[0], -FAR)
@@ -54,13 +54,13 @@ def _room(sit: Any, state: tuple[float, float, float, float, float], t: float, h
 
 @njit
 def detour(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> float:
-    """Return the turn rate to prefer in place of a raw command's [rad/s], or that one where there is no way past.
+    """Return the turn rate to prefer over the raw command's [rad/s], or the raw one if there is no way past.
 
     Args:
-        sit: Echoes and motion.
-        ask: The command that is wanted, and the turn since one last passed.
+        sit: Echoes and motion model.
+        ask: Requested command, and the rotation since one last passed.
         state: State when the command has its first effect.
-        t: Age of the echoes then [s].
+        t: Age of the echoes at that time [s].
     """
     v, omega = ask.raw
     if abs(v) < STANDS or abs(ask.turned) > _WIDEST:

@@ -1,8 +1,8 @@
-"""Echoes of a scan as surfaces, and which of them are known to be static.
+"""Converts the echoes of a scan to surfaces, and determines which of them are static.
 
 Two neighbouring echoes that are closer together than the robot is wide may belong to one surface: points are added
-between them, so that the robot's disc cannot dip in between. An echo is known to be static if every scan of a time span
-has an echo near it. Otherwise it is treated as part of a moving obstacle.
+between them, so that the robot's disc cannot dip in between. An echo counts as static if every scan within a time span
+has an echo near it; otherwise it is treated as part of a moving obstacle.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SAME = 0.06
-"""Distance up to which two echoes of different scans may come from one place [m]."""
+"""Maximum distance between echoes of different scans from the same place [m]."""
 _FEWEST = 3
 _MOST_POINTS = 3000
 _THIN = 0.01
 
 
 def thinned(points: Array) -> Array:
-    """Return at most `_MOST_POINTS` of the echoes, in the order of their beams (n, 2) [m]."""
+    """Return at most `_MOST_POINTS` of the echoes, in beam order (n, 2) [m]."""
     if len(points) <= _MOST_POINTS:
         return points
     _, first = np.unique(np.floor(points / _THIN).astype(np.int64), axis=0, return_index=True)
@@ -32,16 +32,16 @@ def thinned(points: Array) -> Array:
 
 
 def surfaces(points: Array, spacing: float, widest: float) -> tuple[Array, NDArray[np.intp], Array]:
-    """Return echoes, after them places between neighbours, and places on the gaps that are wider.
+    """Return echoes, interpolated points between neighbours, and points across wider gaps.
 
     Args:
-        points: Echoes in the order of their beams (n, 2) [m].
-        spacing: Largest distance between two places of a surface [m].
-        widest: Distance of neighbours up to which they may belong to one surface [m].
+        points: Echoes in beam order (n, 2) [m].
+        spacing: Maximum spacing of the points on a surface [m].
+        widest: Maximum distance between neighbours on one surface [m].
 
     Returns:
-        Echoes and places between (m, 2) [m], for those between the number of the echo before (m - n,), and places on
-        gaps (k, 2) [m].
+        Echoes followed by interpolated points (m, 2) [m], the index of the preceding echo for each interpolated point
+        (m - n,), and points across gaps (k, 2) [m].
     """
     if len(points) < 2:
         return points, np.empty(0, np.intp), np.empty((0, 2))
@@ -54,7 +54,7 @@ def surfaces(points: Array, spacing: float, widest: float) -> tuple[Array, NDArr
 
 
 def _between(begin: Array, end: Array, lengths: Array, spacing: float) -> tuple[Array, NDArray[np.intp]]:
-    """Return places on lines (n, 2) to (n, 2) at most `spacing` apart, without the ends (m, 2), and their lines."""
+    """Return points (m, 2) at most `spacing` apart on lines (n, 2) to (n, 2), without the ends, and their lines."""
     counts = np.minimum(np.ceil(lengths / spacing).astype(np.intp) - 1, 200)
     line = np.repeat(np.arange(len(counts)), counts)
     place = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
@@ -78,10 +78,10 @@ def near_any(points: Array, others: Array, distance: float) -> NDArray[np.bool_]
 
 
 class EchoMemory:
-    """The recent scans, in a fixed frame.
+    """Recent scans in a fixed frame.
 
     Args:
-        span: Time for which an echo must have been there to be known to stand [s].
+        span: Time for which an echo must persist to count as static [s].
     """
 
     def __init__(self, span: float) -> None:
@@ -89,7 +89,7 @@ class EchoMemory:
         self._scans: deque[tuple[float, Array]] = deque(maxlen=200)
 
     def update(self, now: float, points: Array) -> NDArray[np.bool_]:
-        """Take a scan at a steady time [s] and return which of its places (n, 2) are known to be static (n,)."""
+        """Add a scan at a steady time [s] and return which of its points (n, 2) are static (n,)."""
         while len(self._scans) > 1 and self._scans[1][0] <= now - self._span:
             self._scans.popleft()
         known = np.zeros(len(points), np.bool_)
@@ -105,5 +105,5 @@ class EchoMemory:
         return known
 
     def clear(self) -> None:
-        """Forget all scans, because the frame has jumped."""
+        """Discard all scans, because the frame has jumped."""
         self._scans.clear()

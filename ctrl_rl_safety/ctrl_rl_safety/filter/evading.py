@@ -1,4 +1,4 @@
-"""Moves a robot that would stand out of the way of a mover that comes near, where a certified command does."""
+"""Moves a stationary robot out of the way of an approaching mover, using certified commands."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from ctrl_rl_safety.models.growth import Growth, moving_growth
 from ctrl_rl_safety.sets.distance_field import FAR, margin_at
 
 AHEAD = 1.0
-"""Time within which a mover could touch a robot that stands, for it to begin to evade [s]."""
+"""Time to a possible contact with a stationary robot at which evading starts [s]."""
 LONGER = 1.4
-"""That time for a robot that evades already, so that it does not stop at once [s]."""
+"""The same time for a robot that is already evading, so that it does not stop immediately [s]."""
 _ROLL_OUT = 0.5
-"""Time of the motions that are compared [s]."""
+"""Duration of the compared motions [s]."""
 _LEAST_GAIN = 0.03
-"""Distance that evading must bring within that time [m]."""
+"""Minimum distance that evading must gain within that duration [m]."""
 _TURNS = 7
 
 
 @njit
 def _to_movers(sit: Situation, state: tuple[float, float, float, float, float]) -> float:
-    """Return about the distance to the nearest mover [m]."""
+    """Return the approximate distance to the nearest mover [m]."""
     x, y, theta, _, _ = state
     return margin_at(sit.obstacles, Growth(0.0, 0.0, 0.0, 0.0), sit.core, x, y, theta, 0.0, (-FAR, 0.0))
 
 
 @cached_njit
 def evade(sit: Any, state: Any, t: float, speeds: tuple[float, float], ahead: float) -> tuple[float, float, float, int]:
-    """Return a certified command away from movers, its margin, and its escape; a margin below zero for none.
+    """Return a certified command away from movers, with its margin and escape; margin < 0 for none.
 
     Args:
-        sit: Echoes, motion and set.
+        sit: Echoes, motion model and set.
         state: State when the command has its first effect.
-        t: Age of the echoes then [s].
-        speeds: Least and largest speed [m/s].
-        ahead: Time within which a mover could touch the robot, for it to evade [s].
+        t: Age of the echoes at that time [s].
+        speeds: Minimum and maximum speed [m/s].
+        ahead: Time to a possible contact with a mover at which the robot evades [s].
     """
     near = _to_movers(sit, state)
     v, omega, best, kind, most = 0.0, 0.0, -FAR, 0, _LEAST_GAIN

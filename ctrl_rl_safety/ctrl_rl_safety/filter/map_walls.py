@@ -13,25 +13,25 @@ from ctrl_rl_core import OccupancyMap
 
 Array = NDArray[np.float64]
 Fixed = Callable[[Array], NDArray[np.bool_]]
-"""Says which places (n, 2) [m] a map has (n,)."""
+"""Returns which positions (n, 2) [m] are occupied on a map (n,)."""
 
 NEAR = 0.1
-"""Distance from an occupied cell up to which an echo counts as that of the map [m]."""
+"""Maximum distance between an occupied cell and an echo of it [m]."""
 
 
 class MapWalls:
-    """Tells echoes of what a map has from all others."""
+    """Distinguishes echoes of mapped obstacles from all others."""
 
     def __init__(self, map_: OccupancyMap) -> None:
         self._map = map_
         self._near = _around(map_.cells == OCCUPIED, math.ceil(NEAR / map_.resolution))
 
     def fixed(self, there: Array, pose: Array) -> Fixed:
-        """Return a function that says which places of the odometry's frame the map has.
+        """Return a function that tells which positions in the odometry frame are occupied on the map.
 
         Args:
             there: Pose of the robot on the map (3,) [m, m, rad].
-            pose: The same pose by odometry (3,) [m, m, rad].
+            pose: Odometry pose at the same time (3,) [m, m, rad].
         """
         x, y, yaw = (Transform.planar(*there.tolist()) @ Transform.planar(*pose.tolist()).inverse()).pose.tolist()
         c, s = math.cos(yaw), math.sin(yaw)
@@ -48,7 +48,7 @@ class MapWalls:
 
 
 def _around(occupied: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Return which cells (rows, columns) have an occupied one within a square of so many cells to each side."""
+    """Return which cells (rows, columns) have an occupied one within a square of this many cells to each side."""
     out = occupied
     for axis in (0, 1):
         before = np.pad(out, [(cells, cells) if each == axis else (0, 0) for each in (0, 1)])

@@ -1,8 +1,8 @@
-"""Answers raw commands with certified ones; steady time is an argument, and there is no ROS.
+"""Answers raw commands with certified ones; steady time is an argument. No ROS.
 
 safety = SafetyFilter(find_model("turtlebot3_burger"))
 safety.see(now, pose, echoes)
-safety.use(safety.solve())      # in a thread; without it the escapes of constant turn rates remain
+safety.use(safety.solve())      # in a thread; without it only constant-turn-rate escapes are used
 verdict = safety.decide(now, Reading(pose, v, omega), raw)
 safety.sent(now, verdict.command)
 """
@@ -37,37 +37,37 @@ STEP = 0.02
 """Time step of the roll-outs [s]."""
 _LEAST_CELL = 0.025
 _LAGS = 6.0
-"""Lags for which the end of a braking takes at most, when the speed falls exponentially."""
+"""Maximum duration of the end of a braking manoeuvre, in time constants of the exponential decay."""
 _LATEST = 0.5
-"""Age of a scan that the local grid is made for [s]."""
+"""Scan age for which the local grid is sized [s]."""
 _LATE = 0.06
-"""Time by which a scan may come later than usual [s]."""
+"""Maximum delay of a scan beyond its usual interval [s]."""
 _LONGEST_INTERVAL = 0.5
-"""Largest time from scan to scan that a corrected command waits for [s]."""
+"""Maximum scan interval for which a corrected command waits [s]."""
 _UNBLOCKING = 0.3
-"""Part of the largest turn rate with which a robot is turned."""
+"""Fraction of the maximum turn rate used for unblocking."""
 _SIDE = 0.25
-"""Spacing of the places on a surface over the radius: a disc dips in by less than 1 % of it."""
+"""Spacing of the points on a surface relative to the radius: a disc dips in by less than 1 % of its radius."""
 _LEAST_SIDE = 0.02
-"""Least spacing of them [m]."""
+"""Minimum spacing of these points [m]."""
 _SET_AGE = 0.5
-"""Age of a set that still chooses escapes [s]."""
+"""Maximum age of a set used to choose escapes [s]."""
 
 
 class SafetyFilter:
     """Keeps one robot in its recoverable set.
 
     Attributes:
-        model: Constants of the robot.
+        model: Robot model.
         options: Settings of the filter.
-        reach: Distance from the robot up to which echoes matter [m].
+        reach: Distance from the robot within which echoes are used [m].
     """
 
     def __init__(self, model: RobotModel, options: FilterOptions | None = None) -> None:
-        """Begin without a scan.
+        """Start without a scan.
 
         Raises:
-            SafetyError: The robot brakes so slowly that no certificate reaches to its stop.
+            SafetyError: The robot brakes too slowly for a certificate to cover its stop.
         """
         braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
         if braking > STEP * MOST_STEPS:
@@ -109,19 +109,19 @@ class SafetyFilter:
         fixed: Fixed | None = None,
         sight: Sight | None = None,
     ) -> None:
-        """Take a scan.
+        """Process a scan.
 
         Args:
             now: Steady time [s].
-            pose: Pose of the robot when the scan was taken, in the frame of the odometry (3,) [m, m, rad].
-            echoes: Echoes in the robot's frame then, in the order of their beams (n, 2) [m].
+            pose: Pose of the robot at the time of the scan, in the odometry frame (3,) [m, m, rad].
+            echoes: Echoes in the robot's frame at that time, in beam order (n, 2) [m].
             age: Age of the scan [s].
-            fixed: Says which places (n, 2) in the frame of the odometry [m] a map has (n,), which never move; None
-                without a map.
-            sight: Reach of the scan in each direction, which `unseen` needs.
+            fixed: Returns which positions (n, 2) in the odometry frame [m] are occupied on a map and thus never move
+                (n,); None without a map.
+            sight: Free range of the scan in each direction, required by `unseen`.
 
         Raises:
-            SafetyError: What is unseen counts as an obstacle, and it is not said what the scan sees.
+            SafetyError: Unseen space counts as an obstacle, but `sight` is missing.
         """
         self._interval = min(max(now - self._arrived, 0.0), _LONGEST_INTERVAL)
         self._arrived = now
@@ -145,7 +145,7 @@ class SafetyFilter:
         self._seen = obstacles, now - age - self.model.scan_age
 
     def solve(self) -> RecoverableSet | None:
-        """Return the recoverable set of the last scan; None before the first one. It may run in another thread."""
+        """Return the recoverable set of the last scan; None before the first scan. May run in another thread."""
         if self._seen is None:
             return None
         obstacles, seen_at = self._seen
@@ -153,12 +153,12 @@ class SafetyFilter:
         return solve_set(obstacles, self.model, self._growth, self.model.scan_age, self._last_v, commit, stamp=seen_at)
 
     def use(self, found: RecoverableSet | None) -> None:
-        """Use a set for escapes from now on; None for the family of constant turn rates alone."""
+        """Use a set for escapes from now on; None for constant-turn-rate escapes only."""
         self._set = found
 
     @property
     def obstacles(self) -> Obstacles | None:
-        """Echoes of the last scan; None before the first one."""
+        """Echoes of the last scan; None before the first scan."""
         return None if self._seen is None else self._seen[0]
 
     @property
@@ -167,7 +167,7 @@ class SafetyFilter:
         return self._set
 
     def forget(self) -> None:
-        """Forget scans and set, as the frame of the odometry has jumped."""
+        """Discard scans and set, because the odometry frame has jumped."""
         self._memory.clear()
         for each in (self._space, self._walls):
             if each is not None:
@@ -175,14 +175,14 @@ class SafetyFilter:
         self._set = self._seen = self._certified = None
 
     def sent(self, now: float, command: Array) -> None:
-        """Note a command (2,) that went to the robot."""
+        """Record a command (2,) that was sent to the robot."""
         self._sent.append((now, float(command[0]), float(command[1])))
 
     def decide(self, now: float, reading: Reading, raw: Array) -> Verdict:
         """Return the command to send in place of a raw one (2,) [m/s, rad/s].
 
         Raises:
-            SafetyError: There was no scan yet.
+            SafetyError: No scan has been received.
         """
         if self._seen is None:
             raise SafetyError("no scan yet")
@@ -235,13 +235,13 @@ class SafetyFilter:
         return verdict
 
     def escape(self, verdict: Verdict) -> Array:
-        """Return the states (n, 5) of a verdict's command and of the escape that certifies it, for a picture."""
+        """Return the states (n, 5) of a verdict's command and of its certified escape, for plotting."""
         if self._seen is None:
             return np.empty((0, 5))
         return _path(self._situation(self._seen[1], self._seen[0]), verdict)
 
     def stopping(self, now: float) -> Array:
-        """Return the command (2,) of the last certified escape at a steady time [s], for when nothing is known."""
+        """Return the command (2,) of the last certified escape at a steady time [s], for use without current data."""
         if self._certified is None:
             return np.zeros(2)
         begun, verdict, situation = self._certified
@@ -268,7 +268,7 @@ class SafetyFilter:
         )
 
     def _under_way(self, now: float, age: float) -> Array:
-        """Return the commands of each time step from the odometry until a new one has an effect (n, 2)."""
+        """Return the commands in each time step from the odometry until a new one takes effect (n, 2)."""
         count = math.ceil((age + self.model.delay) / STEP - 1e-9)
         out = np.zeros((count, 2))
         until = count
@@ -288,7 +288,7 @@ def _path(situation: Situation, verdict: Verdict) -> Array:
 
 
 def _moved(points: Array, pose: Array) -> Array:
-    """Return points (n, 2) of a frame in the one that its pose (3,) is given in."""
+    """Transform points (n, 2) from a frame to the one in which its pose (3,) is given."""
     x, y, theta = (float(each) for each in pose)
     c, s = math.cos(theta), math.sin(theta)
     return points @ np.array(((c, s), (-s, c))) + (x, y)

@@ -1,7 +1,7 @@
-"""The space around a robot that it has seen, so that what it has not can count as an obstacle.
+"""The space around a robot that it has seen, so that unseen space can count as an obstacle.
 
-The space is kept in cells that stand still. A cell is seen once a beam went through it, or the robot stood on it. What
-lies behind an edge, in a blind direction or beyond the range of the lidar, was never seen.
+The space is a grid of cells in a fixed frame. A cell is seen once a beam has passed through it or the robot has stood
+on it. Space behind an edge, in a blind direction or beyond the lidar's range stays unseen.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 
 _CELL = 0.05
 _BESIDE = 0.1
-"""Distance around the robot at the first scan within which nothing unseen is looked for [m]: it could not turn else."""
+"""Radius around the robot at the first scan that is assumed to be free [m]; otherwise the robot could not turn."""
 _BEARINGS = np.linspace(0.0, 2.0 * math.pi, DIRECTIONS, endpoint=False)
 
 
 class Sight(NamedTuple):
-    """How far a scan sees.
+    """Free range of a scan in each direction.
 
     Attributes:
-        ways: Free way in each direction, counter-clockwise from ahead (DIRECTIONS,) [m]; 0 where it is blind.
-        forward: Position of the lidar ahead of the robot's middle [m].
+        ways: Free distance in each direction, counter-clockwise from ahead (DIRECTIONS,) [m]; 0 in blind directions.
+        forward: Position of the lidar ahead of the robot's centre [m].
     """
 
     ways: Array
@@ -36,12 +36,12 @@ class Sight(NamedTuple):
 
 
 def sight_of(ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Sight:
-    """Return how far a scan sees.
+    """Return the free range of a scan in each direction.
 
     Args:
-        ranges: Ranges (scan.beams,) [m]. By REP-117 +inf sees nothing up to the largest range.
+        ranges: Ranges (scan.beams,) [m]. By REP-117, +inf means free space up to the maximum range.
         scan: Bearings and limits of the beams in the robot's frame.
-        forward: Position of the lidar ahead of the robot's middle [m].
+        forward: Position of the lidar ahead of the robot's centre [m].
     """
     field, nearest = nearest_beams(scan, _BEARINGS)
     ways = np.where(ranges >= scan.range_min, np.minimum(ranges, scan.range_max), 0.0)  # NaN is no measurement
@@ -49,11 +49,11 @@ def sight_of(ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) ->
 
 
 class SeenSpace:
-    """Cells within some distance of the robot, and whether they were seen.
+    """Cells around the robot, and whether they have been seen.
 
     Args:
-        reach: Distance from the robot up to which cells matter [m].
-        radius: Radius of the disc that holds the robot [m].
+        reach: Distance from the robot within which cells are kept [m].
+        radius: Radius of the disc that encloses the robot [m].
     """
 
     def __init__(self, reach: float, radius: float) -> None:
@@ -64,11 +64,11 @@ class SeenSpace:
         self._middle = np.zeros(2, np.intp)
 
     def update(self, pose: Array, sight: Sight) -> Array:
-        """Take a scan and return the edges of what was never seen (n, 2), in the frame of the pose [m].
+        """Add a scan and return the boundary points of unseen space (n, 2), in the frame of the pose [m].
 
         Args:
-            pose: Pose of the robot when the scan was taken (3,) [m, m, rad].
-            sight: Reach of the scan in each direction.
+            pose: Pose of the robot at the time of the scan (3,) [m, m, rad].
+            sight: Free range of the scan in each direction.
         """
         self._move_to(np.floor(pose[:2] / _CELL).astype(np.intp))
         offsets = np.arange(-self._half, self._half + 1)
@@ -85,11 +85,11 @@ class SeenSpace:
         return np.column_stack((x[columns + 1], y[rows + 1, 0]))
 
     def clear(self) -> None:
-        """Forget all, as the frame has jumped."""
+        """Discard all cells, because the frame has jumped."""
         self._seen[:] = False
 
     def _move_to(self, middle: NDArray[np.intp]) -> None:
-        """Move the window to another cell; what comes into it was not seen."""
+        """Move the window to another cell; newly covered cells are unseen."""
         columns, rows = (middle - self._middle).tolist()
         self._middle = middle
         side = len(self._seen)

@@ -1,4 +1,4 @@
-"""The safety filter between a driver and a robot: sensors and a command in, a certified command out."""
+"""The safety filter between a driver and a robot: takes sensor readings and a command, returns a certified command."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _ROUNDING_S = 1e-6
 
 
 class SensorFilter:
-    """A `ctrl_rl_core` `Filter`: it takes each new scan, and answers each command.
+    """A `ctrl_rl_core` `Filter` that processes each new scan and answers each command.
 
     Args:
-        safety: Filter that has seen nothing yet.
-        lidar_x: Position of the lidar ahead of the robot's middle [m].
-        set_period: Time between two solutions of the recoverable set, each by the last scan [s]; 0 for one with each
-            scan, infinite for none.
-        walls: Map on which the sensors' pose is known; None for none.
+        safety: Filter that has not processed any scan.
+        lidar_x: Position of the lidar ahead of the robot's centre [m].
+        set_period: Interval between solutions of the recoverable set, each for the last scan [s]; 0 to solve for each
+            scan, infinite for no set.
+        walls: Map in whose frame the sensors' pose is given, or None.
 
     Attributes:
-        looks: Whether it wants each turn of the lidar: always.
-        changed: Whether the last answer was another command.
+        looks: Whether the filter needs every scan of the lidar: always.
+        changed: Whether the last answer differed from the raw command.
         verdict: Answer to the last command; None before the first.
     """
 

@@ -1,4 +1,4 @@
-"""Turns a robot that the filter holds towards the side with more room, so that it does not stand there for ever."""
+"""Turns a robot blocked by the filter towards the side with more room, so that it does not get stuck."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _HEADINGS = np.radians(np.arange(-180.0, 180.0, 5.0))
 _BESIDE = 2
 """Headings on either side that count as much: along a wall that it touches a robot would be held again by noise."""
 _FARTHEST = 1.0
-"""Room beyond which more of it does not matter [m]."""
+"""Clearance beyond which more does not matter [m]."""
 _TURN_COST = 0.15
-"""Room that a turn of one radian must bring [m]."""
+"""Clearance that must be gained per radian of rotation [m]."""
 _THERE = math.radians(5.0)
 _GAIN = 2.0
-"""Turn rate for each radian that is left, as a part of the one for unblocking [1/rad]."""
+"""Gain from the remaining angle to the turn rate, as a fraction of the unblocking rate [1/rad]."""
 
 
 class Unblocking:
-    """Counts how long a robot is held, and chooses a heading.
+    """Measures how long a robot is blocked, and chooses a heading.
 
     Args:
-        after: Time for which the robot is held before it is turned [s]; 0 for never.
+        after: Blocked time after which the robot is turned [s]; 0 for never.
     """
 
     def __init__(self, after: float) -> None:
@@ -36,7 +36,7 @@ class Unblocking:
         self._heading: float | None = None
 
     def note(self, now: float, command: tuple[float, float], wanted: tuple[float, float], v: float) -> None:
-        """Note a command that goes to the robot in place of the wanted one, at a steady time [s]."""
+        """Record a command sent in place of the requested one, at a steady time [s]."""
         held = abs(v) < STANDS and abs(command[0]) < STANDS and abs(wanted[0]) >= STANDS
         if self._heading is not None and abs(wanted[0]) >= STANDS:
             return
@@ -46,14 +46,14 @@ class Unblocking:
             self._held_since = now
 
     def turn(self, now: float, wanted: tuple[float, float], state: Array, echoes: Array, room: float) -> float:
-        """Return the turn to make, from -1 to 1, or 0 for none.
+        """Return the rotation to make, from -1 to 1, or 0 for none.
 
         Args:
             now: Steady time [s].
-            wanted: Command that is wanted [m/s, rad/s].
+            wanted: Requested command [m/s, rad/s].
             state: State of the robot in the frame of the echoes (5,).
-            echoes: Echoes that stand (2, n) [m].
-            room: Radius that the robot needs [m].
+            echoes: Static echoes (2, n) [m].
+            room: Radius required by the robot [m].
         """
         if self._after <= 0.0 or abs(wanted[0]) < STANDS:
             self._heading = None
@@ -70,13 +70,13 @@ class Unblocking:
 
 
 def freest_heading(state: Array, sense: float, echoes: Array, room: float) -> float:
-    """Return the heading around which the robot has the most room, near its own if several have [rad].
+    """Return the heading with the most room around it, the nearest one if several are equal [rad].
 
     Args:
         state: State of the robot (5,).
-        sense: 1.0 for driving forwards, -1.0 for backwards.
+        sense: Driving direction: 1.0 for forwards, -1.0 for backwards.
         echoes: Echoes in the state's frame (2, n) [m].
-        room: Radius that the robot needs [m].
+        room: Radius required by the robot [m].
     """
     dx, dy = echoes[0] - state[0], echoes[1] - state[1]
     rooms = np.full(len(_HEADINGS), _FARTHEST)

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Mode(IntEnum):
-    """What the filter did with a command."""
+    """Action of the filter on a command."""
 
     PASSED = 1
     CORRECTED = 2
@@ -28,17 +28,17 @@ class FilterOptions:
     """Settings of a filter.
 
     Attributes:
-        period: Longest time from one command to the next [s].
-        mover_speed: Largest speed of other movers [m/s]; 0 for a static world.
-        mover_acceleration: Largest acceleration of what is known to stand [m/s^2].
-        standing_time: Time for which an echo must have been there to be known to stand [s].
-        mover_size: Largest extent of a mover [m]: a surface that stands and is longer is a wall, which never moves;
-            0 where none is to count as one.
-        hysteresis: Margin that lets a command pass again after a correction [m].
-        unblock_after: Time for which the filter holds the robot before it turns it to a free side [s]; 0 for never.
-        evade: Whether a robot that would stand goes out of the way of a mover that comes near.
-        occluded_movers: Whether movers may step out from behind an edge that the scan shows.
-        unseen: Kind of the space that never was seen, behind the robot or an edge; such an obstacle stays.
+        period: Maximum interval between commands [s].
+        mover_speed: Maximum speed of movers [m/s]; 0 for a static world.
+        mover_acceleration: Maximum acceleration of obstacles seen as static [m/s^2].
+        standing_time: Time for which an echo must persist to count as static [s].
+        mover_size: Maximum extent of a mover [m]: a longer static surface counts as a wall, which never moves; 0 to
+            disable walls.
+        hysteresis: Margin required for a command to pass again after a correction [m].
+        unblock_after: Blocked time after which the filter turns the robot to a free side [s]; 0 for never.
+        evade: Whether a stationary robot moves out of the way of an approaching mover.
+        occluded_movers: Whether movers may emerge from behind an edge in the scan.
+        unseen: Treatment of unseen space, behind the robot or an edge; as an obstacle, it is static.
     """
 
     period: float = 0.075
@@ -55,11 +55,11 @@ class FilterOptions:
 
 @dataclass(frozen=True)
 class Reading:
-    """The robot by odometry.
+    """Odometry reading of the robot.
 
     Attributes:
-        pose: Pose x, y, theta in the frame of the odometry (3,) [m, m, rad].
-        v: Speed by odometry [m/s].
+        pose: Pose x, y, theta in the odometry frame (3,) [m, m, rad].
+        v: Speed [m/s].
         omega: Turn rate [rad/s].
         age: Age of the odometry [s].
     """
@@ -76,11 +76,11 @@ class Verdict:
 
     Attributes:
         command: Speed [m/s] and turn rate [rad/s] to send (2,).
-        mode: Kind of the answer to the command.
-        margin: Margin of the certificate [m]; exact where it is less than 0.04.
-        value: Margin of the present state by the recoverable set [m]; NaN without one.
-        state: State when the command has an effect (5,).
-        escape: Kind of its escape.
+        mode: Action of the filter.
+        margin: Margin of the certificate [m]; exact below 0.04.
+        value: Margin of the present state according to the recoverable set [m]; NaN without a set.
+        state: State when the command takes effect (5,).
+        escape: Kind of the escape.
     """
 
     command: Array

@@ -1,8 +1,8 @@
-"""Which echoes are walls: they belong to something larger than any mover, which therefore never moves.
+"""Identifies walls: surfaces larger than any mover, which therefore never move.
 
-A surface is a chain of neighbouring echoes that are known to stand, without a gap and without a sharp bend: who leans
-on a wall is no part of it. No two points of a body of some size are farther apart than that, so that a larger surface
-belongs to none. A wall of which only a part is seen later is remembered for a while.
+A surface is a chain of neighbouring static echoes without gaps and sharp bends, so a person leaning on a wall is not
+part of it. No two points of a mover are farther apart than its maximum extent, so a larger surface is not a mover. A
+wall that is later seen only in part is remembered for a while.
 """
 
 from __future__ import annotations
@@ -19,23 +19,24 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _LINK = 0.15
-"""Distance of neighbours up to which they belong to one wall [m]: less than from the side of a person to the wall."""
+"""Maximum distance between neighbours on one wall [m], less than from a person's side to the wall."""
 _ARM = 0.15
-"""Straight distance to both sides of a bend [m]: noise of 1 cm bends it by 7 degrees. Along the echoes it would be less
-where these are dense, as noise lengthens that way."""
+"""Straight distance to both sides of a bend [m]; noise of 1 cm changes the angle by 7 degrees. Measured along dense
+echoes, the distance would be shorter, because noise lengthens that path.
+"""
 _BEND = math.radians(45.0)
-"""Angle from which on a surface ends at a bend."""
+"""Minimum angle of a bend that ends a surface."""
 _SPAN = 5.0
-"""Time for which a wall is remembered [s]: odometry drifts."""
+"""Time for which a wall is remembered [s], limited because odometry drifts."""
 _PART = 0.5
-"""Extent of the remembered part of a surface over the size of a mover, from which on all of it is that wall."""
+"""Extent of a surface's remembered part, relative to a mover's size, above which the whole surface is that wall."""
 
 
 class Walls:
-    """The walls seen in the last while, in a frame that stands still.
+    """Walls seen recently, in a fixed frame.
 
     Args:
-        size: Largest extent of a mover [m].
+        size: Maximum extent of a mover [m].
     """
 
     def __init__(self, size: float) -> None:
@@ -44,12 +45,12 @@ class Walls:
         self._times: Array = np.empty(0)
 
     def update(self, now: float, points: Array, known: Flags) -> Flags:
-        """Take a scan at a steady time [s] and return which of its echoes are of walls (n,).
+        """Add a scan at a steady time [s] and return which of its echoes belong to walls (n,).
 
         Args:
             now: Steady time [s].
-            points: Echoes in the order of their beams (n, 2) [m].
-            known: Flags of those that are known to stand (n,).
+            points: Echoes in beam order (n, 2) [m].
+            known: Whether each echo is static (n,).
         """
         fresh = now - self._times <= _SPAN
         self._places, self._times = self._places[fresh], self._times[fresh]
@@ -65,16 +66,16 @@ class Walls:
         return wall | there
 
     def clear(self) -> None:
-        """Forget all walls, as the frame has jumped."""
+        """Discard all walls, because the frame has jumped."""
         self._places, self._times = np.empty((0, 2)), np.empty(0)
 
 
 def surfaces_of(points: Array, known: Flags) -> list[NDArray[np.intp]]:
-    """Return the surfaces of a scan as numbers of their echoes, each in the order of their beams.
+    """Return the surfaces of a scan as arrays of echo indices in beam order.
 
     Args:
-        points: Echoes in the order of their beams (n, 2) [m].
-        known: Flags of those that are known to stand (n,).
+        points: Echoes in beam order (n, 2) [m].
+        known: Whether each echo is static (n,).
     """
     count = len(points)
     if count < 2:
@@ -90,12 +91,12 @@ def surfaces_of(points: Array, known: Flags) -> list[NDArray[np.intp]]:
 
 @cached_njit
 def _bends(points: Array, linked: Flags, arm: float, bend: float) -> Flags:
-    """Return which places of surfaces lie at a sharp bend (n,).
+    """Return which points of surfaces lie at a sharp bend (n,).
 
     Args:
-        points: Echoes in the order of their beams (n, 2) [m].
-        linked: Flags of those that belong together with the one after them (n - 1,).
-        arm: Distance to both sides over which a surface may bend [m].
+        points: Echoes in beam order (n, 2) [m].
+        linked: Whether each echo is linked with the next one (n - 1,).
+        arm: Distance to both sides over which a bend is measured [m].
         bend: Angle of a sharp bend [rad].
     """
     out = np.zeros(len(points), np.bool_)
@@ -113,5 +114,5 @@ def _bends(points: Array, linked: Flags, arm: float, bend: float) -> Flags:
 
 
 def _extent(points: Array) -> float:
-    """Return the distance of the farthest point from the first one [m]."""
+    """Return the maximum distance of a point from the first one [m]."""
     return float(np.hypot(*(points - points[0]).T).max()) if len(points) else 0.0

@@ -1,4 +1,4 @@
-"""Compiles what answering needs before the first command comes."""
+"""Compiles the filter's functions before the first command arrives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctrl_rl_safety.models.robot_model import RobotModel
 
 
 def warm_up(model: RobotModel, options: FilterOptions) -> None:
-    """Compile what answering needs, or read it from disk, before it counts."""
+    """Compile the filter's functions, or load them from disk, before timing matters."""
     safety = SafetyFilter(model, options)
     bearings = np.linspace(-3.0, 3.0, 60)
     echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))

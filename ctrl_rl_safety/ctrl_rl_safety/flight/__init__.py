@@ -1,4 +1,4 @@
-"""The guard of a planar quadrotor among shapes that are known: escapes rolled out with all six states."""
+"""Guard of a planar quadrotor among known shapes, by simulated escapes with all six states."""
 
 import lazy_loader as lazy
 

@@ -1,9 +1,8 @@
-"""The value of a state by escapes: the largest room that some escape keeps until the quadrotor hovers; machine code.
+"""The value of a state: the clearance that the best escape keeps until the quadrotor hovers. Compiled code.
 
-An escape accelerates in one direction for a time and then brakes. It is rolled out as it would be flown, with all six
-states and thrusts that are held for a tick. Between two places on the way no point of the body moves farther than its
-speed allows, which is taken off the room that is found at both; and after a time t it may be half the disturbance times
-t^2 nearer, which is taken off too.
+An escape accelerates in one direction for a time and then brakes. It is simulated as flown, with all six states and
+thrusts held for a tick. The clearance is reduced by the distance that any point of the body may move between two
+checked positions, and after a time t by half the disturbance times t^2.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from ctrl_rl_safety.flight.motion import State, escape_thrusts, moved, room_at
 Array = NDArray[np.float64]
 
 LOST = -1e3
-"""Value of a state from which no escape comes to a hover [m]."""
+"""Value of a state from which no escape reaches a hover [m]."""
 LONGEST = 3.0
-"""Time in which an escape has to come to a hover [s]."""
+"""Time within which an escape must reach a hover [s]."""
 _SHORTEST = 0.3  # time of an escape [s]: a quadrotor that hovers and is pushed onto a wall has to get away from it
 _CHECKS = 2  # of the room, in a tick
 _SLOW, _LEVEL, _TURNS = 0.15, 0.1, 0.5  # a hover [m/s, rad, rad/s]: what is left of the motion moves it by centimetres
@@ -34,11 +33,11 @@ _TICKS_IN_GOAL = 2  # that a flight has to be inside, so that whoever looks 30 t
 
 
 class KnownWorld(NamedTuple):
-    """What is around the quadrotor.
+    """Known surroundings of the quadrotor.
 
     Attributes:
         shapes: Rows of `shape_rows` (k, 7).
-        goal: Region in which the flight ends (9,): bounds of x, z and psi, middle and radius of a disc.
+        goal: Goal region, where the flight ends (9,): bounds of x, z and psi, centre and radius of a disc.
     """
 
     shapes: Array
@@ -47,7 +46,7 @@ class KnownWorld(NamedTuple):
 
 @njit
 def _in_goal(goal: Array, state: State, off: float) -> bool:
-    """Return whether a state is in the goal, wherever it may be `off` by so much [m]."""
+    """Return whether a state is in the goal even if its position is wrong by up to `off` [m]."""
     x, z, psi = state[0], state[2], state[4]
     inside = goal[0] + off <= x <= goal[1] - off and goal[2] + off <= z <= goal[3] - off
     return inside and goal[4] <= psi <= goal[5] and math.hypot(x - goal[6], z - goal[7]) <= goal[8] - off
@@ -60,7 +59,7 @@ def _hovers(state: State) -> bool:
 
 @njit
 def _room_for_tick(craft: Any, shapes: Array, state: State, t_1: float, t_2: float, room: float) -> Any:
-    """Return the state after a tick, the room there, and the least room on the way to it [m]."""
+    """Return the state after a tick, the clearance there, and the minimum clearance during the tick [m]."""
     seconds, least = craft.tick / _CHECKS, np.inf
     reach = math.hypot(craft.half_length, craft.half_height)
     for _ in range(_CHECKS):
@@ -77,17 +76,17 @@ def _room_for_tick(craft: Any, shapes: Array, state: State, t_1: float, t_2: flo
 def _escaped(
     craft: Any, world: KnownWorld, state: State, room: float, plan: Array, recorded: Array, enough: float, ahead: int
 ) -> Any:
-    """Return the least room of an escape, or some number below `enough` where it is less, and the room at its end [m].
+    """Return the minimum clearance of an escape, or any value below `enough` if less, and the clearance at its end [m].
 
     Args:
         craft: Constants of the quadrotor, a `Craft`.
         world: Shapes and goal around it.
-        state: State in which the escape begins.
-        room: Room there [m].
-        plan: Direction and duration of the acceleration (2,), after the thrusts that are recorded.
-        recorded: Thrusts with which it begins (n, 2).
-        enough: Room below which it is no use [m].
-        ahead: Ticks from now to that state.
+        state: State at the start of the escape.
+        room: Clearance in that state [m].
+        plan: Direction and duration of the acceleration (2,), after the recorded thrusts.
+        recorded: Recorded thrusts at the start of the escape (n, 2).
+        enough: Clearance below which the escape is useless [m].
+        ahead: Number of ticks from now to that state.
     """
     least, inside, push_for, off = room, 0, plan[1], 0.0
     for tick in range(round(LONGEST / craft.tick)):
@@ -111,22 +110,23 @@ def _escaped(
 
 @cached_njit
 def best_escape(craft: Any, world: KnownWorld, state: State, plans: Array, recorded: Array, enough: float) -> Any:
-    """Return the value of a state, and the plan that has it.
+    """Return the value of a state, and the plan that attains it.
 
-    Of plans that keep enough room, or equally little, it is the one that ends with the most: else a disturbance could
-    push a quadrotor slowly onto a wall next to which it hovers, since no plan makes the room larger that it has now.
+    Among plans with enough, or equally little, clearance, the one that ends with the most clearance is chosen.
+    Otherwise a disturbance could slowly push a hovering quadrotor onto a wall, because no plan increases the present
+    clearance.
 
     Args:
         craft: Constants of the quadrotor, a `Craft`.
         world: Shapes and goal around it.
-        state: State of it now.
-        plans: Escapes (n, 2): direction [rad], and time for which they accelerate [s].
-        recorded: Thrusts of one more escape (k, 2), after which it brakes [N].
-        enough: Room that is enough [m].
+        state: Current state.
+        plans: Escapes (n, 2): direction [rad], and duration of the acceleration [s].
+        recorded: Thrusts of one more escape, followed by braking (k, 2) [N].
+        enough: Sufficient clearance [m].
 
     Returns:
-        The largest least room on the way to a hover or to the goal [m], `LOST` where no escape comes to one; the number
-        of the plan, -1 for the recorded thrusts.
+        The maximum over the plans of the minimum clearance on the way to a hover or the goal [m], `LOST` if no escape
+        reaches either; and the index of the plan, -1 for the recorded thrusts.
     """
     room = room_at(craft, world.shapes, state[0], state[2], state[4])
     value, best, score = LOST, 0, LOST
@@ -145,19 +145,18 @@ def best_escape(craft: Any, world: KnownWorld, state: State, plans: Array, recor
 
 @cached_njit
 def nearest_safe(craft: Any, world: KnownWorld, state: State, thrusts: Array, plans: Array, enough: float) -> Any:
-    """Return the first thrusts after which some plan keeps enough room.
+    """Return the first thrusts after which some plan keeps enough clearance.
 
     Args:
         craft: Constants of the quadrotor, a `Craft`.
         world: Shapes and goal around it.
-        state: State of it now.
-        thrusts: Thrusts to try, each for a tick (m, 2) [N].
-        plans: Escapes (n, 2) as of `best_escape`.
-        enough: Room that they have to keep [m].
+        state: Current state.
+        thrusts: Thrusts to try, each held for a tick (m, 2) [N].
+        plans: Escapes (n, 2), see `best_escape`.
+        enough: Required clearance [m].
 
     Returns:
-        The number of the thrusts, -1 where there are none; the room that is kept [m]; the number of the plan; the state
-        after the tick.
+        The index of the thrusts, -1 for none; the clearance [m]; the index of the plan; the state after the tick.
     """
     here = room_at(craft, world.shapes, state[0], state[2], state[4])
     none = thrusts[:0]
@@ -175,7 +174,7 @@ def nearest_safe(craft: Any, world: KnownWorld, state: State, thrusts: Array, pl
 
 @cached_njit
 def record(craft: Any, state: State, plan: Array) -> Array:
-    """Return the thrusts of a plan (2,) from a state to a hover, one row a tick (k, 2) [N]."""
+    """Return the thrusts of a plan (2,) from a state to a hover, one row per tick (k, 2) [N]."""
     out, push_for = np.empty((round(LONGEST / craft.tick), 2)), plan[1]
     for tick in range(len(out)):
         if _hovers(state) and push_for <= 0.0:

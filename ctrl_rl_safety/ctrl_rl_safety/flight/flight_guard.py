@@ -1,7 +1,7 @@
-"""A guard between a source of thrusts and a planar quadrotor: what leaves an escape passes, the rest is corrected.
+"""A guard for a planar quadrotor: passes thrusts that leave an escape, and corrects all others.
 
 guard = FlightGuard(quadrotor_of(task), (*world.walls, *world.obstacles))
-verdict = guard.decide(state, raw)     # each tick
+verdict = guard.decide(state, raw)     # once per tick
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class FlightOptions:
     """Settings of a `FlightGuard`.
 
     Attributes:
-        tick: Time between two answers [s].
-        margin: Room that an escape must keep [m]: for what the model, the state and the shapes are wrong by.
-        hysteresis: Room by which it must be larger for the raw thrusts to pass again [m].
+        tick: Control period [s].
+        margin: Clearance that an escape must keep, to cover errors of model, state and shapes [m].
+        hysteresis: Additional clearance required for the raw thrusts to pass again [m].
 
     Raises:
-        SafetyError: A number is not finite or out of its range.
+        SafetyError: A number is not finite or is out of range.
     """
 
     tick: float = 0.025
@@ -57,9 +57,9 @@ class FlightVerdict(NamedTuple):
 
     Attributes:
         thrusts: Thrusts T_1 and T_2 to send (2,) [N].
-        changed: Whether they are not the raw ones.
-        room: Room that the best known escape keeps [m]; below 0 there was no way out in the model.
-        escaping: Whether they are those of an escape, as after no others one is left.
+        changed: Whether the thrusts differ from the raw ones.
+        room: Clearance of the best known escape [m]; negative if the model has no way out.
+        escaping: Whether the thrusts are those of an escape, because no others leave one.
     """
 
     thrusts: Array
@@ -69,7 +69,7 @@ class FlightVerdict(NamedTuple):
 
 
 class FlightGuard:
-    """Lets thrusts through to a planar quadrotor as long as an escape is left a tick later."""
+    """Passes thrusts to a planar quadrotor as long as an escape remains one tick later."""
 
     def __init__(
         self,
@@ -78,14 +78,14 @@ class FlightGuard:
         options: FlightOptions | None = None,
         goal: Region | None = None,
     ) -> None:
-        """Take the quadrotor and what it must not touch.
+        """Set the quadrotor and the shapes to avoid.
 
         Args:
             model: Constants of the quadrotor.
             shapes: Walls and obstacles in the x-z plane.
-            options: Settings; the defaults unless given.
-            goal: Region of x, z and psi in which the flight ends, so that an escape may end there too; None for flights
-                that have to be safe for ever.
+            options: Settings; the default ones if omitted.
+            goal: Goal region of x, z and psi, where the flight and thus an escape may end; None for flights that must
+                stay safe indefinitely.
         """
         self.options = options or FlightOptions()
         self._craft = craft_of(model, self.options.tick)
@@ -98,13 +98,13 @@ class FlightGuard:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, as with another flight."""
+        """Reset the guard, e.g. for another flight."""
         self._plans[0] = 0.0
         self._way_out = np.zeros((0, 2))  # thrusts of the escape that the last answer left
         self._changed = False
 
     def warm_up(self) -> None:
-        """Compile what answers need, and forget them."""
+        """Compile the guard's functions, and reset it."""
         hover = np.full(2, 0.5 * self._craft.mass * self._craft.gravity)
         for asked in (hover, hover, np.full(2, math.nan)):
             self.decide(np.zeros(6), asked)
@@ -113,7 +113,7 @@ class FlightGuard:
         self.forget()
 
     def room(self, state: ArrayLike) -> float:
-        """Return the room that the best escape from a state keeps [m]; not negative where it is recoverable."""
+        """Return the clearance of the best escape from a state [m]; non-negative if the state is recoverable."""
         value, _ = best_escape(self._craft, self._world, _state(state), self._plans[1:], self._way_out[:0], math.inf)
         return float(value)
 
@@ -122,10 +122,10 @@ class FlightGuard:
 
         Args:
             state: State x, v_x, z, v_z, psi, omega (6,), in the frame of the shapes.
-            raw: Thrusts that are asked for (2,) [N]; where they are not finite, the guard brakes and hovers.
+            raw: Requested thrusts (2,) [N]; if they are not finite, the guard brakes and hovers.
 
         Raises:
-            SafetyError: The state is not six finite numbers: whoever asks has to say where the robot is.
+            SafetyError: The state is not six finite numbers.
         """
         now, asked = _state(state), np.asarray(raw, dtype=np.float64)
         usable = asked.shape == (2,) and np.isfinite(asked).all()
@@ -143,9 +143,9 @@ class FlightGuard:
         return FlightVerdict(thrusts, True, float(room), True)
 
     def change(self, state: ArrayLike, raw: ArrayLike) -> FlightVerdict | None:
-        """Return the thrusts to send before the tick is over, as others are asked for; None where the last ones stay.
+        """Recompute thrusts mid-tick for a new request; None if unchanged.
 
-        The next tick then begins here. The arguments are those of `decide`.
+        The next tick then starts now. Arguments as for `decide`.
 
         Raises:
             SafetyError: The state is not six finite numbers.
@@ -154,7 +154,7 @@ class FlightGuard:
         return self._nearest(_state(state), asked) if asked.shape == (2,) and np.isfinite(asked).all() else None
 
     def _nearest(self, now: tuple[float, ...], asked: Array) -> FlightVerdict | None:
-        """Return the thrusts nearest to those that are asked for after which an escape is left; None without any."""
+        """Return the thrusts nearest to the requested ones that leave an escape; None if there are none."""
         craft = self._craft
         asked = np.clip(asked, craft.least, craft.most)
         near = self._levels[np.argsort(np.hypot(*(self._levels - asked).T), kind="stable")]
@@ -169,9 +169,10 @@ class FlightGuard:
         return FlightVerdict(tried[number], self._changed, float(room))
 
     def escape_on(self) -> Array | None:
-        """Return the thrusts (2,) of the next tick of the escape that was certified last, for when nothing is known.
+        """Return the thrusts (2,) for the next tick of the last certified escape, for use without current data.
 
-        Each call is a tick; None at its end, where the quadrotor hovers, and before the first answer.
+        Each call is a tick; returns None at the end of the escape, where the quadrotor hovers, and before the first
+        answer.
         """
         if not len(self._way_out):
             return None
@@ -180,7 +181,7 @@ class FlightGuard:
         return thrusts
 
     def moved_on(self, state: ArrayLike, thrusts: ArrayLike, seconds: float) -> Array:
-        """Return the state (6,) after thrusts (2,) that are held for a time up to a tick [s], in the model.
+        """Return the state (6,) predicted after holding thrusts (2,) for up to a tick [s].
 
         Raises:
             SafetyError: The state is not six finite numbers.
@@ -190,7 +191,7 @@ class FlightGuard:
 
 
 def _goal_row(goal: Region | None) -> Array:
-    """Return a goal as `KnownWorld` has it; a disc of no size for none."""
+    """Return a goal as a row of `KnownWorld`; a disc of zero size for none."""
     if goal is None:
         return np.array((math.inf, -math.inf) * 3 + (0.0, 0.0, -1.0))
     everywhere = Interval(-math.inf, math.inf)

@@ -1,4 +1,4 @@
-"""Motion of a planar quadrotor, its room to shapes around it, and the thrusts by which it escapes; machine code."""
+"""Planar quadrotor dynamics, clearance to shapes, and escape thrusts. Compiled code."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _SIDEWAYS = 0.2  # of the least thrust: less than this sideways does not change 
 
 
 class Craft(NamedTuple):
-    """A `QuadrotorModel` as machine code takes it, with its names, and what an escape may ask for.
+    """A `QuadrotorModel` for compiled code, with the same names, and the limits of escapes.
 
     Attributes:
         half_length: Half of the body's length [m].
         half_height: Half of the body's height [m].
-        tilt: Largest pitch that an escape asks for [rad].
-        aside: Largest acceleration to the side that an escape asks for [m/s^2].
-        up: The same upwards [m/s^2].
-        down: The same downwards [m/s^2].
-        tick: Time for which thrusts are held [s].
+        tilt: Maximum pitch in an escape [rad].
+        aside: Maximum sideways acceleration in an escape [m/s^2].
+        up: Maximum upward acceleration in an escape [m/s^2].
+        down: Maximum downward acceleration in an escape [m/s^2].
+        tick: Hold time of the thrusts [s].
     """
 
     mass: float
@@ -55,7 +55,7 @@ class Craft(NamedTuple):
 
 
 def craft_of(model: QuadrotorModel, tick: float) -> Craft:
-    """Return a model for compiled code, for thrusts that are held for `tick` seconds."""
+    """Convert a model for compiled code, with thrusts held for `tick` seconds."""
     tilt = model.tilt_limit - _BELOW_LIMIT
     weight, most, least = model.mass * model.gravity, 2.0 * model.most, 2.0 * model.least
     aside = min(math.sqrt(most**2 - weight**2) / model.mass, model.gravity * math.tan(tilt))
@@ -68,7 +68,7 @@ def craft_of(model: QuadrotorModel, tick: float) -> Craft:
 
 
 def shape_rows(shapes: Sequence[Shape]) -> Array:
-    """Return shapes as rows (k, 7): centre, cosine and sine of the angle, half side lengths, and radius of a disc."""
+    """Convert shapes to rows (k, 7): centre, cosine and sine of the angle, half side lengths, and radius of a disc."""
     rows = [
         (*shape.centre, math.cos(shape.angle), math.sin(shape.angle), 0.5 * shape.size[0], 0.5 * shape.size[1], 0.0)
         if isinstance(shape, Box)
@@ -80,10 +80,10 @@ def shape_rows(shapes: Sequence[Shape]) -> Array:
 
 @njit
 def room_at(craft: Any, shapes: Array, x: float, z: float, psi: float) -> float:
-    """Return a lower bound of the body's distance to all shapes, and of its tips' way to the limit of the tilt [m].
+    """Return a lower bound of the body's distance to all shapes and of the tips' distance to the tilt limit [m].
 
-    For a box it is the largest gap along the sides of both rectangles (separating axes): exact but for a corner that
-    faces a corner, and negative where they overlap.
+    For a box, the bound is the largest gap along the sides of both rectangles (separating axes): exact except when two
+    corners face each other, and negative on overlap.
     """
     c, s, length, height = math.cos(psi), math.sin(psi), craft.half_length, craft.half_height
     least = (craft.tilt_limit - abs(psi)) * length
@@ -118,7 +118,7 @@ def _rates(craft: Any, state: State, push: float, turn: float) -> Any:
 
 @njit
 def moved(craft: Any, state: State, t_1: float, t_2: float, seconds: float) -> Any:
-    """Return the state after thrusts that are held for a short time (midpoint rule)."""
+    """Return the state after holding thrusts for a short time (midpoint rule)."""
     x, v_x, z, v_z, psi, omega = state
     half = 0.5 * seconds
     a, b, c = _rates(craft, state, t_1 + t_2, t_1 - t_2)
@@ -140,9 +140,9 @@ def escape_thrusts(craft: Any, state: State, angle: float, push_for: float) -> A
 
     Args:
         craft: Constants of the quadrotor, a `Craft`.
-        state: State of it.
+        state: Current state.
         angle: Direction, from x towards z [rad].
-        push_for: Time for which it still accelerates [s]; it brakes where that is 0.
+        push_for: Remaining duration of the acceleration [s]; 0 to brake.
     """
     _, v_x, _, v_z, psi, omega = state
     if push_for > 0.5 * craft.tick:

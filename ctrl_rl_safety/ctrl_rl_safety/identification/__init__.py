@@ -1,1 +1,1 @@
-"""Constants of a robot from its commands and its odometry."""
+"""Identification of a robot's constants from commands and odometry."""

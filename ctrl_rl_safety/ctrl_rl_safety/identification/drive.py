@@ -1,4 +1,4 @@
-"""Commands and odometry of a bag, at common times."""
+"""Commands and odometry of a bag at common times."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ctrl_rl_safety.errors import SafetyError
 Array = NDArray[np.float64]
 
 STEP = 0.01
-"""Time between two rows [s]."""
+"""Interval between rows [s]."""
 LATEST = 0.5
-"""Largest step of the odometry, and age of a command after which the robot may have stopped by itself [s]."""
+"""Maximum odometry interval, and command age after which the robot may have stopped on its own [s]."""
 _SHORTEST = 1.0
 _EVERY = 5
-"""Rows of which one is looked at where pose and twist are compared."""
+"""Stride of the rows in the comparison of pose and twist."""
 _TYPES = {
     "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     "odom": ("nav_msgs/msg/Odometry",),
@@ -30,12 +30,12 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class Drive:
-    """A piece of a drive without gaps, a row each `STEP`.
+    """A gapless segment of a drive, with one row per `STEP`.
 
     Attributes:
-        commands: Commands that were given last, speed and turn rate (n, 2) [m/s, rad/s].
-        poses: Poses by odometry x, y, yaw (n, 3) [m, m, rad].
-        speeds: Speed and turn rate by odometry (n, 2) [m/s, rad/s].
+        commands: Latest commands, speed and turn rate (n, 2) [m/s, rad/s].
+        poses: Odometry poses x, y, yaw (n, 3) [m, m, rad].
+        speeds: Odometry speed and turn rate (n, 2) [m/s, rad/s].
     """
 
     commands: Array
@@ -44,16 +44,16 @@ class Drive:
 
 
 def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "", tell: Tell = warn) -> list[Drive]:
-    """Return the pieces of a bag in which commands came and the odometry has no gap and no jump.
+    """Return the segments of a bag with commands and with gapless, continuous odometry.
 
     Args:
         bag: Bag with commands and odometry.
-        command_topic: Topic of Twist or TwistStamped; the only one that ends with cmd_vel unless given.
-        odometry_topic: Topic of Odometry; the only one that ends with odom unless given.
-        tell: Takes lines about what was left out; warns unless given.
+        command_topic: Topic of Twist or TwistStamped; by default the only one ending in cmd_vel.
+        odometry_topic: Topic of Odometry; by default the only one ending in odom.
+        tell: Called with lines about omissions; a warning by default.
 
     Raises:
-        SafetyError: A topic is missing or empty, or no piece lasts a second.
+        SafetyError: A topic is missing or empty, or no segment lasts a second.
         BagError: The bag cannot be read.
     """
     with open_bag(bag) as opened:
@@ -80,7 +80,7 @@ def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "", te
 
 
 def _topic(topics: object, given: str, ending: str, bag: Path) -> str:
-    """Return the topic that is given, or the only one of a name and type."""
+    """Return the given topic, or else the only one of a name and type."""
     assert isinstance(topics, dict)
     kinds = _TYPES[ending]
     suited = [name for name, info in topics.items() if info.type in kinds and info.message_count > 0]

@@ -1,7 +1,7 @@
-"""The constants with which the filter's model of motion follows a drive best.
+"""Fits the constants of the filter's motion model to a drive.
 
-Delay, lag and limits of acceleration are those with the least squared error of speed and turn rate when the model gets
-the drive's commands. Of limits that serve as well, the least are taken: the robot surely has those.
+Delay, lag and acceleration limits minimise the squared error of speed and turn rate when the model receives the drive's
+commands. Among equally good limits the smallest are taken, because the robot certainly attains them.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from ctrl_rl_safety.models.motion import Motion, next_speeds, next_state
 Array = NDArray[np.float64]
 
 _MOVES = (0.05, 0.1)
-"""Speed [m/s] and turn rate [rad/s] that a drive must reach."""
+"""Minimum speed [m/s] and turn rate [rad/s] that a drive must reach."""
 _TOP = 99.0
-"""Percentile of the speeds that counts as the largest: a single reading may be wrong."""
+"""Percentile of the speeds that counts as the maximum, because a single reading may be wrong."""
 _LONGEST = 50
-"""Longest delay, in rows."""
+"""Maximum delay in rows."""
 _DELAYS = range(0, _LONGEST + 1, 2)
 _LAGS = np.array((0.0, 0.03, 0.06, 0.1, 0.2, 0.4))
 _LIMITS = np.geomspace(0.05, 20.0, 18)
 _AS_GOOD = 1.01
 _NONE = 1e-2
-"""Limit of acceleration that no robot has [m/s^2, rad/s^2]."""
+"""Acceleration limit beyond any robot [m/s^2, rad/s^2]."""
 _NAMES = ("start", "stop", "change of the turn rate")
 _SPAN = 1.0
-"""Time over which the deviation of the position is measured [s]."""
+"""Duration over which the position deviation is measured [s]."""
 _PERCENTILE = 99.0
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Constants of a robot as a drive shows them.
+    """Constants of a robot identified from drives.
 
     Attributes:
-        speed: Largest speed forwards [m/s].
-        reverse_speed: Largest speed backwards [m/s]; 0 where it never drove backwards.
-        turn_rate: Largest turn rate [rad/s].
-        acceleration: Largest change of the speed away from zero [m/s^2].
-        braking: Largest change of the speed towards zero [m/s^2].
-        turn_acceleration: Largest change of the turn rate [rad/s^2].
+        speed: Maximum forward speed [m/s].
+        reverse_speed: Maximum reverse speed [m/s]; 0 if the robot never drove backwards.
+        turn_rate: Maximum turn rate [rad/s].
+        acceleration: Maximum rate of change of the speed away from zero [m/s^2].
+        braking: Maximum rate of change of the speed towards zero [m/s^2].
+        turn_acceleration: Maximum angular acceleration [rad/s^2].
         lag: Time constant of the speeds [s].
         delay: Time from a command to its effect in the odometry [s].
-        disturbance: Deviation of the position from the model's for each second [m/s].
-        error: Part of the variance of speed and turn rate that the model leaves.
+        disturbance: Deviation of the position from the model per second [m/s].
+        error: Unexplained fraction of the variance of speed and turn rate.
     """
 
     speed: float
@@ -69,7 +69,7 @@ class Fit:
 
 @cached_njit
 def _errors(commands: Array, speeds: Array, ends: NDArray[np.int64], motion: Motion) -> Array:
-    """Return the squared errors of speed and turn rate (2,) of a motion."""
+    """Return the squared errors of speed and turn rate (2,) of a simulated motion."""
     out, first = np.zeros(2), 0
     for last in ends:
         v, omega = speeds[first, 0], speeds[first, 1]
@@ -85,7 +85,7 @@ def _errors(commands: Array, speeds: Array, ends: NDArray[np.int64], motion: Mot
 def _deviations(
     commands: Array, poses: Array, speeds: Array, ends: NDArray[np.int64], motion: Motion, span: int
 ) -> Array:
-    """Return by how much the position deviates from the model's after each `span` rows."""
+    """Return the deviation of the position from the model after each `span` rows."""
     out, count, first = np.empty(len(poses)), 0, 0
     for last in ends:
         for begin in range(first, last - span, max(span // 10, 1)):
@@ -101,9 +101,9 @@ def _deviations(
 
 
 class _Data:
-    """Drives one after the other, with commands that take effect after a delay.
+    """Concatenated drives, with commands that take effect after a delay.
 
-    Each begins when even the longest delay is over: which command was in effect before is not known.
+    Each drive starts after the maximum delay, because the command in effect before that is unknown.
     """
 
     def __init__(self, drives: Sequence[Drive], top: tuple[Array, Array], track: float) -> None:
@@ -114,30 +114,30 @@ class _Data:
         self._scale = np.maximum(((self.speeds - self.speeds.mean(axis=0)) ** 2).sum(axis=0), 1e-9)
 
     def commands(self, rows: int) -> Array:
-        """Return the commands (n, 2) in effect, `rows` rows later than they were given."""
+        """Return the commands (n, 2) in effect, delayed by `rows` rows."""
         late = [each.commands[_LONGEST - rows : len(each.commands) - rows] for each in self._drives]
         return np.clip(np.concatenate(late), *self._top)
 
     def errors(self, commands: Array, lag: float, limits: Array) -> Array:
-        """Return the part of the variance that is left, of speed and of turn rate (2,)."""
+        """Return the unexplained fraction of the variance of speed and of turn rate (2,)."""
         return np.asarray(_errors(commands, self.speeds, self.ends, self.motion(lag, limits)) / self._scale)
 
     def motion(self, lag: float, limits: Array) -> Motion:
-        """Return the motion of a row, with a lag [s] and limits of acceleration (3,)."""
+        """Return the motion model for one row, with a lag [s] and acceleration limits (3,)."""
         share = 1.0 if lag <= 0.0 else -math.expm1(-STEP / lag)
         faster, slower, turn = (limits * STEP).tolist()
         return Motion(STEP, share, faster, slower, turn, 0.5 * self._track)
 
 
 def fit_drives(drives: Sequence[Drive], track: float = 0.0) -> Fit:
-    """Return the constants that drives show.
+    """Identify the constants from drives.
 
     Args:
-        drives: Pieces of drives.
-        track: Distance between two driven wheels [m]; 0 where speed and turn rate change independently.
+        drives: Segments of drives.
+        track: Distance between two driven wheels [m]; 0 if speed and turn rate change independently.
 
     Raises:
-        SafetyError: The robot never moved, turned, started or stopped, or did not do as it was told.
+        SafetyError: The robot never moved, turned, started or stopped, or did not follow its commands.
     """
     speeds = np.concatenate([each.speeds for each in drives])
     reached = np.percentile(np.abs(speeds), _TOP, axis=0)
@@ -176,7 +176,7 @@ def fit_drives(drives: Sequence[Drive], track: float = 0.0) -> Fit:
 
 
 def _best(data: _Data) -> tuple[int, float, Array]:
-    """Return delay [rows], lag [s] and limits (3,): a coarse search, and a finer one around its best."""
+    """Return delay [rows], lag [s] and limits (3,) from a coarse search refined around its best point."""
     best = np.inf
     found: tuple[int, float, Array] = (0, 0.0, np.ones(3))
     for rows in _DELAYS:
@@ -199,7 +199,7 @@ def _best(data: _Data) -> tuple[int, float, Array]:
 def _fitted(
     data: _Data, commands: Array, lag: float, start: Array, tried: Array, relative: bool = False
 ) -> tuple[Array, float]:
-    """Return limits (3,) with the least error, each searched in turn, and that error."""
+    """Return limits (3,) with the smallest error, each searched in turn, and that error."""
     limits = start.copy()
     for axis in (0, 1, 2, 0, 1):
         values = limits[axis] * tried if relative else tried
@@ -212,10 +212,10 @@ def _fitted(
 
 
 def _least(data: _Data, commands: Array, lag: float, limits: Array) -> Array:
-    """Return the least limits (3,) with an error as good.
+    """Return the smallest limits (3,) with an equally small error.
 
     Raises:
-        SafetyError: The drive is explained as well without one of them.
+        SafetyError: The drive is explained equally well without one of the limits.
     """
     allowed = _AS_GOOD * data.errors(commands, lag, limits).sum() + 1e-6
     out = limits.copy()

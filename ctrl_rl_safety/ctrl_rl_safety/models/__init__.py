@@ -1,1 +1,1 @@
-"""Constants of robots, and the motion that follows from a command."""
+"""Constants of robots, and their motion under commands."""

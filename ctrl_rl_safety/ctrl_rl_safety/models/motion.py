@@ -1,4 +1,4 @@
-"""The motion of a `RobotModel` in time steps, as machine code that filter, sets, tests and trials share."""
+"""The motion of a `RobotModel` in time steps; compiled code shared by filter, sets, tests and trials."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ctrl_rl_safety.models.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 STANDS = 0.01
-"""Speed below which a robot counts as standing [m/s]."""
+"""Speed below which a robot counts as stationary [m/s]."""
 
 
 class Motion(NamedTuple):
@@ -23,11 +23,11 @@ class Motion(NamedTuple):
 
     Attributes:
         step: Time step [s].
-        share: Part of the difference to the command that goes within a step.
-        faster: Largest change of the speed away from zero [m/s].
-        slower: Largest change of the speed towards zero [m/s].
-        turn: Largest change of the turn rate [rad/s].
-        half_track: Half the distance between two wheels that share these limits [m]; 0 where nothing is shared.
+        share: Fraction of the difference to the command that is covered in a step.
+        faster: Maximum change of the speed away from zero [m/s].
+        slower: Maximum change of the speed towards zero [m/s].
+        turn: Maximum change of the turn rate [rad/s].
+        half_track: Half the distance between two wheels that share these limits [m]; 0 if the limits are independent.
     """
 
     step: float
@@ -52,10 +52,10 @@ def _limited(value: float, most: float) -> float:
 
 @njit(inline="always")
 def _by_wheels(dv: float, turned: float, most: float, most_turn: float, half_track: float) -> tuple[float, float]:
-    """Return the changes of speed [m/s] and turn rate [rad/s] nearest to wanted ones for wheels of limited force.
+    """Return the changes of speed [m/s] and turn rate [rad/s] nearest to requested ones for wheels of limited force.
 
-    Both wheels with all their force change the speed by `most`, or against each other the turn rate by `most_turn`. A
-    wheel that is not at its limit reaches the speed that it should have, whatever the other one does.
+    At full force, both wheels together change the speed by `most`, or against each other the turn rate by `most_turn`.
+    A wheel below its limit reaches its target speed regardless of the other one.
     """
     left, right = dv / most - turned / most_turn, dv / most + turned / most_turn
     coupling = (most - most_turn * half_track) / (most + most_turn * half_track)
@@ -70,7 +70,7 @@ def _by_wheels(dv: float, turned: float, most: float, most_turn: float, half_tra
 
 @njit(inline="always")
 def next_speeds(v: float, omega: float, v_c: float, omega_c: float, motion: Any) -> tuple[float, float]:
-    """Return speed [m/s] and turn rate [rad/s] after a step; on the way to the other direction it brakes first."""
+    """Return speed [m/s] and turn rate [rad/s] after a step; a reversal brakes to zero first."""
     dv, turned = motion.share * (v_c - v), motion.share * (omega_c - omega)
     most = motion.slower if v * dv < 0.0 else motion.faster
     if motion.half_track > 0.0:
@@ -84,7 +84,7 @@ def next_speeds(v: float, omega: float, v_c: float, omega_c: float, motion: Any)
 def next_state(
     x: float, y: float, theta: float, v: float, omega: float, v_c: float, omega_c: float, motion: Any
 ) -> tuple[float, float, float, float, float]:
-    """Return the state after a step: speeds first change, the pose moves by their means."""
+    """Return the state after a step: the speeds change first, and the pose moves by their means."""
     faster, turned = next_speeds(v, omega, v_c, omega_c, motion)
     way, turn = 0.5 * (v + faster) * motion.step, 0.5 * (omega + turned) * motion.step
     middle = theta + 0.5 * turn
@@ -93,7 +93,7 @@ def next_state(
 
 @cached_njit
 def roll_out(state: Array, commands: Array, motion: Any) -> Array:
-    """Return the states (n + 1, 5) under commands (n, 2) from a state (5,), one for each time step."""
+    """Return the states (n + 1, 5) from a state (5,) under commands (n, 2), one per time step."""
     out = np.empty((len(commands) + 1, 5))
     out[0] = state
     for k in range(len(commands)):

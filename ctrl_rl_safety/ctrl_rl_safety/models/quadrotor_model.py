@@ -1,4 +1,4 @@
-"""The planar quadrotor of a task, as its guard takes it: constants of thesis Eq. 3.10, limits and size."""
+"""The planar quadrotor of a task as modelled by the guard: constants of thesis Eq. 3.10, limits and size."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ctrl_rl_core import NavigationTask
 from ctrl_rl_safety.errors import SafetyError
 
 LENGTH, HEIGHT = 0.8, 0.25
-"""Sides of the body in its plane [m]: those of `planar_quadrotor.urdf` in `sim_bridge`."""
+"""Side lengths of the body in its plane [m], as in `planar_quadrotor.urdf` of `sim_bridge`."""
 _STATES = ("x", "v_x", "z", "v_z", "psi", "omega")
 
 
@@ -18,21 +18,21 @@ class QuadrotorModel:
     """A planar quadrotor (x, v_x, z, v_z, psi, omega) with the thrusts T_1 and T_2 (thesis Eq. 3.10).
 
     Attributes:
-        mass: Mass of all of it [kg].
+        mass: Total mass [kg].
         gravity: Acceleration of free fall [m/s^2].
         drag: Drag of the speed C_v [N s/m].
         spin_drag: Drag of the pitch rate C_psi [N m s/rad].
         inertia: Moment of inertia I_yy [kg m^2].
-        arm: Distance of the rotors from the middle l [m].
-        least: Least thrust of each pair of rotors [N].
-        most: Largest thrust of each pair of rotors [N].
-        tilt_limit: Pitch beyond which it counts as crashed [rad].
+        arm: Distance l of the rotors from the centre [m].
+        least: Minimum thrust of each pair of rotors [N].
+        most: Maximum thrust of each pair of rotors [N].
+        tilt_limit: Pitch beyond which the quadrotor counts as crashed [rad].
         length: Length of the body [m].
         height: Height of the body [m].
         disturbance: Bound of the acceleration's deviation from the model, by wind or another mass [m/s^2].
 
     Raises:
-        SafetyError: A number is not finite or out of its range, or it cannot hover, climb and sink.
+        SafetyError: A number is not finite or is out of range, or the quadrotor cannot hover, climb and sink.
     """
 
     mass: float
@@ -65,10 +65,10 @@ class QuadrotorModel:
 
 
 def quadrotor_of(task: NavigationTask) -> QuadrotorModel:
-    """Return the quadrotor of a task, with the thrusts of its system: a policy's may be fewer.
+    """Return the quadrotor of a task, with the thrusts of its system, since a policy's may be fewer.
 
     Raises:
-        SafetyError: The task has no planar quadrotor or no limit of its tilt, or its model cannot hover.
+        SafetyError: The task has no planar quadrotor or no tilt limit, or its model cannot hover.
     """
     system = task.system.build()
     if system.state_names != _STATES or task.robot.body != "planar_quadrotor":

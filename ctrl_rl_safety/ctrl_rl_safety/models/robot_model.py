@@ -1,4 +1,4 @@
-"""What the filter knows of a robot that drives: size, limits, delay and errors, from the robot's file."""
+"""The filter's model of a wheeled robot: size, limits, delay and errors, from the robot's file."""
 
 from __future__ import annotations
 
@@ -54,38 +54,38 @@ _MAY_BE_ZERO = {"reverse_speed", *_OPTIONAL}
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A robot (x, y, theta, v, omega) that follows its command (v_c, omega_c) late, lagging and with limited rates.
+    """A robot (x, y, theta, v, omega) that follows its command (v_c, omega_c) with delay, lag and limited rates.
 
-    It is a disc, or a rectangle whose middle is where it turns around.
+    Its shape is a disc, or a rectangle centred at the point of rotation.
 
         x' = v cos theta + d_x,  y' = v sin theta + d_y,  theta' = omega,  |(d_x, d_y)| <= disturbance
         v' = (v_c(t - delay) - v) / lag, within acceleration away from zero and braking towards it
         omega' = (omega_c(t - delay) - omega) / lag, within turn_acceleration
 
-    With a `track`, acceleration and turn acceleration are those of two wheels that push with all their force, together
-    and against each other: a wheel at its limit gives less to both.
+    With a `track`, acceleration and turn acceleration are those of two wheels at full force, together and against each
+    other, so a wheel at its limit reduces both.
 
     Attributes:
         name: Name of the robot.
-        radius: Radius of the disc around the robot's middle that holds all of it [m].
-        speed: Largest speed forwards [m/s].
-        reverse_speed: Largest speed backwards [m/s].
-        turn_rate: Largest turn rate [rad/s].
-        acceleration: Largest change of the speed away from zero [m/s^2].
-        braking: Largest change of the speed towards zero that the robot surely has [m/s^2].
-        turn_acceleration: Largest change of the turn rate that the robot surely has [rad/s^2].
+        radius: Radius of the disc around the robot's centre that encloses the robot [m].
+        speed: Maximum forward speed [m/s].
+        reverse_speed: Maximum reverse speed [m/s].
+        turn_rate: Maximum turn rate [rad/s].
+        acceleration: Maximum rate of change of the speed away from zero [m/s^2].
+        braking: Guaranteed deceleration towards zero speed [m/s^2].
+        turn_acceleration: Guaranteed angular acceleration [rad/s^2].
         lag: Time constant with which speeds follow their commands [s].
         delay: Time from a command to its effect [s].
-        disturbance: Bound of the position's deviation from the model, for each second of motion [m/s].
-        range_error: Bound of the error of an echo's place [m].
-        scan_age: Bound of the time by which an echo is older than the stamp of its scan says [s].
+        disturbance: Bound of the position's deviation from the model per second of motion [m/s].
+        range_error: Bound of the position error of an echo [m].
+        scan_age: Bound of the time by which an echo is older than its scan's stamp [s].
         length: Length of a rectangular robot [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
-        track: Distance between two driven wheels [m]; 0 for speed and turn rate that change independently.
+        track: Distance between two driven wheels [m]; 0 if speed and turn rate change independently.
 
     Raises:
-        SafetyError: A number is not finite, negative, zero where it must not be, or too large for a robot, or the
-            rectangle has one side only, or does not lie in the disc.
+        SafetyError: A number is not finite or is out of range for a robot, or the rectangle has only one side or does
+            not lie in the disc.
     """
 
     name: str
@@ -120,7 +120,7 @@ class RobotModel:
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Least and largest command: speed [m/s] and turn rate [rad/s] each."""
+        """Minimum and maximum command: speed [m/s] and turn rate [rad/s] each."""
         return (-self.reverse_speed, -self.turn_rate), (self.speed, self.turn_rate)
 
     @property
@@ -130,18 +130,18 @@ class RobotModel:
 
     @property
     def room(self) -> float:
-        """Distance that the core needs to an echo [m]: to the rectangle, or to the middle of a disc."""
+        """Required distance of the core to an echo [m]: from the rectangle, or from the centre of a disc."""
         return self.range_error + (0.0 if self.length else self.radius)
 
     @property
     def half_width(self) -> float:
-        """Half of the narrowest way through which the robot fits [m]."""
+        """Half the width of the narrowest passage through which the robot fits [m]."""
         return min(self.core) if self.length else self.radius
 
     def stopping_distance(self, v: float) -> float:
-        """Return the way that full braking takes from a speed v [m/s], without the delay [m].
+        """Return the braking distance from a speed v [m/s], without the delay [m].
 
-        With a lag the speed falls by `braking` down to braking * lag, and exponentially from there.
+        With a lag, the speed falls by `braking` down to braking * lag, and exponentially from there.
         """
         bend = self.braking * self.lag
         fast = max(abs(v) - bend, 0.0)
@@ -161,7 +161,7 @@ class RobotModel:
         """Read a YAML file.
 
         Raises:
-            SafetyError: The file is missing, wrong, or lacks a constant; the message names it.
+            SafetyError: The file is missing, invalid, or lacks a constant; the message names it.
         """
         try:
             return cls.of(Robot.load(path))
@@ -170,10 +170,10 @@ class RobotModel:
 
     @classmethod
     def of(cls, robot: Robot) -> RobotModel:
-        """Return what the filter knows of a robot.
+        """Create the filter's model of a robot.
 
         Raises:
-            SafetyError: It does not drive.
+            SafetyError: The robot has no wheels.
         """
         if robot.kind != "differential_drive":
             raise SafetyError(f"robot '{robot.name}' does not drive on wheels")
@@ -181,7 +181,7 @@ class RobotModel:
 
 
 class _Robots(Mapping[str, RobotModel]):
-    """The suite's wheeled robots, each loaded on access."""
+    """The suite's wheeled robots, loaded on access."""
 
     def __getitem__(self, name: str) -> RobotModel:
         if name not in robot_names():
@@ -196,14 +196,14 @@ class _Robots(Mapping[str, RobotModel]):
 
 
 ROBOTS: Mapping[str, RobotModel] = _Robots()
-"""Constants of common robots; measure your own robot with `identify` before you trust them."""
+"""Constants of common robots; measure your own robot with `identify` before relying on them."""
 
 
 def find_model(name: str) -> RobotModel:
-    """Return the model of a robot by its name, or by the path of its YAML file.
+    """Return the model of a robot by name or by the path of its YAML file.
 
     Raises:
-        SafetyError: There is neither.
+        SafetyError: Neither exists.
     """
     try:
         return RobotModel.of(find_robot(name))

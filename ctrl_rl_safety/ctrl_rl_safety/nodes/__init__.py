@@ -1,1 +1,1 @@
-"""The node of this package."""
+"""The nodes of this package."""

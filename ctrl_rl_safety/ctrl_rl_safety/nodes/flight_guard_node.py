@@ -1,4 +1,4 @@
-"""The flight guard's node: raw thrusts and odometry in; thrusts after which an escape is left, and status out."""
+"""Node of the flight guard: receives raw thrusts and odometry, publishes guarded thrusts and status."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ Array = NDArray[np.float64]
 
 INPUT = "rotor_thrusts_raw"
 _NAMES = ("waiting", "passed", "corrected", "escaping")
-"""Names of the modes of FlightStatus in diagnostics."""
+"""Names of the FlightStatus modes in diagnostics."""
 WHY = {
     FlightStatus.PASSED: "",
     FlightStatus.CORRECTED: "after the raw thrusts no escape is left: the nearest ones after which one is are sent",
     FlightStatus.ESCAPING: "after no thrusts an escape is left: the best one is flown",
 }
 _LATE = 1.5
-"""Time without odometry over the period from which on the quadrotor flies on without it."""
+"""Time without odometry, in periods, after which the quadrotor continues the escape without it."""
 _ALMOST = 0.9
-"""Time from one pair of thrusts of that escape to the next over the period: timers are a little early or late."""
+"""Minimum time between two thrusts of that escape, in periods, since timers may fire slightly early."""
 _RECENT = 1000
 _NONE = np.full(2, math.nan)
 
 
 class FlightGuardNode(SuiteNode):
-    """Lets thrusts through to a planar quadrotor as long as an escape from the task's walls and obstacles is left.
+    """Passes thrusts to a planar quadrotor as long as an escape from the task's walls and obstacles remains.
 
     Subscribes to rotor_thrusts_raw and odom, whose frame must be the task's; publishes rotor_thrusts and ~/status.
-    Without usable raw thrusts the quadrotor brakes and hovers; without odometry it flies the escape that was certified
-    last to its end. Then, and before the first raw thrusts, nothing is sent: remap rotor_thrusts to an input of
-    `ctrl_rl_core thrust_watchdog`, which takes over there, and where this process dies.
+    Without usable raw thrusts, the quadrotor brakes and hovers; without odometry, it completes the last certified
+    escape. After that, and before the first raw thrusts, nothing is sent: remap rotor_thrusts to the input of
+    `ctrl_rl_core thrust_watchdog`, which then takes over, also if this process dies.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = FLIGHT_PARAMETERS
@@ -100,7 +100,7 @@ class FlightGuardNode(SuiteNode):
         self.get_logger().info(f"task '{task.name}': {len(world.walls) + len(world.obstacles)} walls and obstacles")
 
     def status(self) -> Status:
-        """Return what the guard does, and how long it takes."""
+        """Report the guard's actions and their computation time."""
         figures: dict[str, object] = {name: self._counts[name] for name in (*_NAMES, "changes", "refused")}
         if self._decisions:
             p50, p99 = np.percentile(self._decisions, (50, 99)) * 1e3
@@ -148,10 +148,10 @@ class FlightGuardNode(SuiteNode):
             self._answer(within=0.0 <= self._now() - self._sent_at <= late)
 
     def _answer(self, within: bool = False) -> None:
-        """Answer the raw thrusts that are held, from the state by the last odometry.
+        """Answer the raw thrusts, using the state from the last odometry.
 
         Args:
-            within: Whether the period since the last answer goes on, so that it may stay.
+            within: Whether the current period is still running, in which case the last answer may be kept.
         """
         begin, now = time.perf_counter(), self._now()
         silent_for, hover_for = now - self._raw_at, self.settings["hover_for"]
@@ -185,7 +185,7 @@ class FlightGuardNode(SuiteNode):
             self._tell(mode, WHY[mode], verdict.thrusts, verdict.room)
 
     def _fly_on(self) -> None:
-        """Fly the escape that was certified last where no usable odometry comes."""
+        """Continue the last certified escape without usable odometry."""
         now, period = self._now(), self.settings["period"]
         waited, unheard = now - self._sent_at, now - self._heard_at
         if not math.isfinite(waited) or 0.0 <= waited < (_ALMOST if self._blind else _LATE) * period:
@@ -223,9 +223,10 @@ class FlightGuardNode(SuiteNode):
         self._told.publish(out)
 
     def _now(self) -> float:
-        """Return the time on the clock that ages are measured on [s].
+        """Return the current time on the clock used for ages [s].
 
-        A simulated clock goes in steps and may arrive after the odometry of that time, which tells the time too.
+        A simulated clock advances in steps and may arrive after odometry of the same time, so odometry stamps count
+        too.
         """
         now = self._ages.now().nanoseconds
         return 1e-9 * float(max(now, self._stamp) if self._simulated else now)

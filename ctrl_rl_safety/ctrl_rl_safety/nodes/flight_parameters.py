@@ -1,4 +1,4 @@
-"""Parameters of the flight guard's node."""
+"""Parameters of the flight guard node."""
 
 from __future__ import annotations
 

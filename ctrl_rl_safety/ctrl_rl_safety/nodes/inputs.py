@@ -1,4 +1,4 @@
-"""Checks of what the sensors send, and odometry with its age: where the robot is, and was when a scan was taken."""
+"""Validates sensor messages; provides odometry with its age, now and at the time of a scan."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ctrl_rl_safety.filter.verdict import Reading
 Array = NDArray[np.float64]
 
 AHEAD = 0.1
-"""Time by which a stamp may lie ahead of this computer's clock [s]; clocks of two computers differ a bit."""
+"""Maximum time by which a stamp may be ahead of this computer's clock [s], since clocks of two computers differ."""
 _FARTHEST_JUMP = 0.3
-"""Way beyond that of the largest speed that means another origin of the odometry [m]."""
+"""Distance beyond that at maximum speed which indicates a new odometry origin [m]."""
 
 
 def age_of(what: str, stamp: int, clock: int, timeout: float, ahead: float = AHEAD) -> float:
-    """Return the age of a message that arrives now [s]; zero where its stamp lies ahead a bit.
+    """Return the age of a message that arrives now [s]; zero if its stamp is slightly in the future.
 
     Args:
-        what: Name of the message.
-        stamp: Its stamp [ns].
-        clock: Time of the node's clock [ns].
-        timeout: Age from which on it is too old [s].
-        ahead: Time by which the stamp may lie ahead of the clock [s].
+        what: Name of the message, for errors.
+        stamp: Stamp of the message [ns].
+        clock: Current time of the node's clock [ns].
+        timeout: Maximum age [s].
+        ahead: Maximum time by which the stamp may be ahead of the clock [s].
 
     Raises:
-        SafetyError: The stamp lies in the future, or the message is too old.
+        SafetyError: The stamp is in the future, or the message is too old.
     """
     age = 1e-9 * (clock - stamp)
     if age < -ahead:
@@ -43,17 +43,17 @@ def age_of(what: str, stamp: int, clock: int, timeout: float, ahead: float = AHE
 
 
 def beam_times(points: Array, scan: ScanGeometry, increment: float, forward: float, longest: float) -> Array:
-    """Return the times of echoes after the stamp of their scan, which is that of its first beam (n,) [s].
+    """Return the times of echoes relative to their scan's stamp, which is that of the first beam (n,) [s].
 
     Args:
         points: Echoes in the robot's frame (n, 2) [m].
-        scan: Bearings of its beams.
-        increment: Time from beam to beam [s]; 0 for a scan that is taken at once.
-        forward: Position of the lidar ahead of the robot's middle [m].
-        longest: Longest time that a scan may take [s].
+        scan: Bearings of the scan's beams.
+        increment: Time between beams [s]; 0 for an instantaneous scan.
+        forward: Position of the lidar ahead of the robot's centre [m].
+        longest: Maximum duration of a scan [s].
 
     Raises:
-        SafetyError: The scan takes longer, or its time runs back.
+        SafetyError: The scan takes longer, or its time runs backwards.
     """
     if not 0.0 <= increment * scan.beams <= longest:
         raise SafetyError(f"the scan's time_increment of {increment} s makes {increment * scan.beams:.3g} s a scan")
@@ -67,13 +67,13 @@ class OdometryInput:
     """The latest odometry.
 
     Args:
-        fastest: Largest speed of the robot [m/s].
-        timeout: Age from which on odometry is too old [s].
-        ahead: Time by which its stamp may lie ahead of the clock [s].
+        fastest: Maximum speed of the robot [m/s].
+        timeout: Maximum age of odometry [s].
+        ahead: Maximum time by which its stamp may be ahead of the clock [s].
 
     Attributes:
         frame: Frame of the poses.
-        jumps: Number of times that the poses jumped, as by a new origin.
+        jumps: Number of pose jumps, e.g. to a new origin.
     """
 
     def __init__(self, fastest: float, timeout: float, ahead: float) -> None:
@@ -84,16 +84,16 @@ class OdometryInput:
         self.frame, self.jumps = "odom", 0
 
     def update(self, message: Any, now: float, clock: int) -> bool:
-        """Take a nav_msgs/Odometry and return whether its poses have jumped.
+        """Process a nav_msgs/Odometry and return whether the pose has jumped.
 
         Args:
-            message: Odometry whose twist is finite.
+            message: Odometry with a finite twist.
             now: Steady time [s].
-            clock: Time of the node's clock [ns].
+            clock: Current time of the node's clock [ns].
 
         Raises:
-            SafetyError: Its stamp is too old or in the future.
-            TransformError: Its pose is none.
+            SafetyError: The stamp is too old or in the future.
+            TransformError: The pose is invalid.
         """
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         age = age_of("odometry", stamp, clock, self._timeout, self._ahead)
@@ -111,11 +111,11 @@ class OdometryInput:
         return jumped
 
     def reading(self, now: float) -> Reading:
-        """Return the robot by the last odometry, with its age at a steady time [s]."""
+        """Return the last odometry reading, with its age at a steady time [s]."""
         return Reading(self._pose, self._v, self._omega, max(now - self._at, 0.0) + self._age)
 
     def straightened(self, points: Array, times: Array, stamp: int) -> Array:
-        """Return echoes (n, 2) in the robot's frame at the stamp of their scan [ns], as if taken then [m].
+        """Return echoes (n, 2) in the robot's frame at the stamp of their scan [ns], corrected for motion [m].
 
         Args:
             points: Echoes, each in the robot's frame at its own time (n, 2) [m].
@@ -123,7 +123,7 @@ class OdometryInput:
             stamp: Stamp of the scan [ns].
 
         Raises:
-            TransformError: The odometry does not reach to that time.
+            TransformError: The odometry does not cover that time.
         """
         longest = float(times.max(initial=0.0))
         if longest == 0.0:
@@ -139,10 +139,10 @@ class OdometryInput:
         return np.column_stack((ahead, aside))
 
     def pose_at(self, stamp: int) -> Array:
-        """Return the pose (3,) [m, m, rad] at a stamp [ns], moved on by the last speeds where odometry is older.
+        """Return the pose (3,) [m, m, rad] at a stamp [ns], extrapolated with the last speeds if necessary.
 
         Raises:
-            TransformError: The odometry does not reach to that time.
+            TransformError: The odometry does not cover that time.
         """
         pose: Array = self._track.at(stamp).pose
         ahead = 1e-9 * (stamp - self._stamp)

@@ -1,4 +1,4 @@
-"""The map, where there is one: what is on it never moves."""
+"""Input of the optional map, whose obstacles never move."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Array = NDArray[np.float64]
 
 
 class MapInput:
-    """Subscribes to the map, and to the pose on it.
+    """Subscribes to the map, and to the robot's pose on it.
 
     Attributes:
-        problem: Reason why the map is not used; empty while it is.
+        problem: Reason why the map is not used; empty if it is used.
     """
 
     def __init__(self, node: SuiteNode, timeout: float, now: Callable[[], float]) -> None:
@@ -29,8 +29,8 @@ class MapInput:
 
         Args:
             node: Node with the parameters `POSE_PARAMETERS`.
-            timeout: Age of odometry from which on it is too old [s].
-            now: Returns steady time, or that of the simulation [s].
+            timeout: Maximum age of odometry [s].
+            now: Returns the steady or simulated time [s].
         """
         self._logger, self._frame = node.get_logger(), node.settings["map_frame"]
         self._pose = PoseInput(node, timeout, now)
@@ -39,14 +39,14 @@ class MapInput:
         node.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
 
     def on_odometry(self, message: Odometry, base: str) -> None:
-        """Take odometry, and the frame of the robot."""
+        """Process odometry and the robot's frame."""
         self._pose.on_odometry(message, base)
 
     def fixed(self, pose: Array) -> Fixed | None:
-        """Return a function that says which places (n, 2) of the odometry's frame [m] the map has (n,).
+        """Return a function that tells which positions (n, 2) in the odometry frame [m] are occupied on the map (n,).
 
         Args:
-            pose: Pose by odometry (3,) [m, m, rad].
+            pose: Odometry pose (3,) [m, m, rad].
 
         Returns:
             The function; None without a map and a pose on it.

@@ -1,4 +1,4 @@
-"""Messages of the safety filter: what it did and why, a picture of the recoverable set, and the escape."""
+"""Messages of the safety filter: its actions and reasons, a picture of the recoverable set, and the escape."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
 Array = NDArray[np.float64]
 
 _MUCH = 0.5
-"""Margin from which on a cell of the picture is free [m]."""
+"""Margin at which a cell of the picture counts as free [m]."""
 _LOST, _TIGHTEST = 100, 90
-"""Cells that are not recoverable, and those with no margin."""
+"""Values of cells that are not recoverable, and of recoverable cells without margin."""
 _COLOURS = {
     Mode.PASSED: (0.2, 0.7, 0.3),
     Mode.CORRECTED: (0.95, 0.7, 0.1),
@@ -38,10 +38,10 @@ WHY = {
 
 
 def slice_message(found: RecoverableSet, theta: float, v: float, stamp: Time, frame: str) -> OccupancyGrid:
-    """Return a slice of a recoverable set as a map: 100 not recoverable, 90 no margin, 0 half a metre or more.
+    """Convert a slice of a recoverable set to a map: 100 not recoverable, 90 no margin, 0 half a metre or more.
 
     Args:
-        found: Set to show.
+        found: Recoverable set.
         theta: Heading of the slice [rad].
         v: Speed of the slice [m/s].
         stamp: Time stamp of the message.
@@ -59,7 +59,7 @@ def slice_message(found: RecoverableSet, theta: float, v: float, stamp: Time, fr
 
 
 def escape_marker(path: Array, mode: Mode, width: float, stamp: Time, frame: str) -> Marker:
-    """Return the places of an escape (n, 5) as a line as wide as the robot [m], in the colour of its mode."""
+    """Return the positions of an escape (n, 5) as a line as wide as the robot [m], in the colour of its mode."""
     out = Marker(header=Header(stamp=stamp, frame_id=frame), ns="escape", type=Marker.LINE_STRIP)
     out.action = Marker.ADD if len(path) > 1 else Marker.DELETE
     out.pose.orientation.w = 1.0

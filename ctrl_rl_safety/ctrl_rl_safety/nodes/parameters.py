@@ -1,4 +1,4 @@
-"""Parameters of the safety filter's node."""
+"""Parameters of the safety filter node."""
 
 from __future__ import annotations
 

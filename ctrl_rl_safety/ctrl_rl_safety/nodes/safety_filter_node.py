@@ -1,4 +1,4 @@
-"""The safety filter's node: raw commands, scan and odometry in; certified commands, status and pictures out."""
+"""Node of the safety filter: receives raw commands, scans and odometry; publishes certified commands and status."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ Array = NDArray[np.float64]
 
 INPUT = "cmd_vel_raw"
 _JITTER = 1.5
-"""Time between two commands over the period that is asked for, on a busy computer."""
+"""Maximum interval between two commands on a busy computer, relative to the requested period."""
 _QUICKEST = 0.2
-"""Least time from one raw command to the next that is answered at once, as a part of the period."""
+"""Minimum interval between raw commands that are answered at once, as a fraction of the period."""
 _PICTURES_S = 0.2
 _RECENT = 1000
 _STAND = np.zeros(2)
 
 
 class SafetyFilterNode(RobotNode):
-    """Lets velocity commands through as far as the robot can still stop without contact, and changes them else.
+    """Passes velocity commands as long as the robot can still stop without contact, and corrects all others.
 
-    Subscribes to cmd_vel_raw, scan and odom, and with use_map to map and the pose on it; publishes cmd_vel, ~/status,
-    ~/set and ~/escape. Without a recent raw command, scan and odometry the robot stands still.
+    Subscribes to cmd_vel_raw, scan and odom, with use_map also to map and the pose on it; publishes cmd_vel, ~/status,
+    ~/set and ~/escape. Without a recent raw command, scan and odometry, the robot stops.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = FILTER_PARAMETERS
@@ -103,22 +103,22 @@ class SafetyFilterNode(RobotNode):
         self._commands = self.create_subscription(kind, INPUT, self._on_raw, COMMAND)
 
     def _limit(self, command: Array) -> tuple[Array, str]:
-        """Return a command (2,) and why the robot stands where no raw command comes.
+        """Return a command (2,), and the reason for stopping if there is no raw command.
 
         Raises:
-            VelocityError: The inputs allow no motion.
+            VelocityError: The inputs forbid motion.
         """
         command, problem = self.robot.limit_by_scan(command)
         return command, problem or self._silence()
 
     def _on_halt(self, command: Array, problem: str) -> None:
-        """Note that the robot brakes, and tell the reason."""
+        """Record that the robot brakes, and report the reason."""
         self._filter.sent(self.robot.now(), command)
         self._counts["waiting"] += 1
         self._tell(command, SafetyStatus.WAITING, problem)
 
     def _keep(self, message: Odometry, _: Array) -> None:
-        """Keep pose and speeds; after a jump of the frame nothing is known."""
+        """Store pose and speeds; a jump of the frame resets the filter."""
         now, clock = self.robot.now(), self.get_clock().now().nanoseconds
         try:
             jumped = self._odometry.update(message, now, clock)
@@ -132,7 +132,7 @@ class SafetyFilterNode(RobotNode):
             self._map.on_odometry(message, self.robot.frame)
 
     def _see(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep the echoes, and begin to solve the set of the last scan where none is in work."""
+        """Store the echoes, and start solving the set of the last scan unless a solve is running."""
         view = self.robot.safety.view
         if view is None:
             return
@@ -152,7 +152,7 @@ class SafetyFilterNode(RobotNode):
         self._solve()
 
     def status(self) -> Status:
-        """Return what the filter does, and how long it takes."""
+        """Report the filter's actions and their computation time."""
         level, message, figures = super().status()
         figures = {**figures, **{mode.name.lower(): self._counts[mode.name] for mode in Mode}}
         figures |= {"waiting": self._counts["waiting"], "changes": self._counts["changes"]}
@@ -186,17 +186,17 @@ class SafetyFilterNode(RobotNode):
             self._tick(now)
 
     def _silence(self) -> str:
-        """Return that no raw command comes; empty where one does."""
+        """Return a message that no raw command arrives; empty otherwise."""
         if abs(self.robot.now() - self._raw_at) <= self.settings["raw_timeout"]:  # a simulated clock may be set back
             return ""
         return f"no recent command on {self._commands.topic_name}"
 
     def _stamp(self, now: float) -> Stamp | None:
-        """Return the stamp of the raw command, moved on by the time since: latencies can be told from a bag."""
+        """Return the raw command's stamp plus the time since then, so that latencies can be computed from a bag."""
         return to_stamp(self._raw_stamp + round(1e9 * (now - self._raw_at))) if self._raw_stamp > 0 else None
 
     def _tick(self, at: float | None = None) -> None:
-        """Answer the raw command that is held, at a time on the clock of ages [s]; now unless given."""
+        """Answer the current raw command at a time on the clock of ages [s]; now by default."""
         begin, now = time.perf_counter(), self.robot.now() if at is None else at
         self._take_set()
         problem = self.robot.input_fault()
@@ -231,7 +231,7 @@ class SafetyFilterNode(RobotNode):
         self._told.publish(out)
 
     def _solve(self) -> None:
-        """Begin to solve the set of the last scan in a thread, unless one is in work."""
+        """Start solving the set of the last scan in a thread, unless a solve is running."""
         if self._job is None and self._filter.obstacles is not self._solved_for:
             self._solved_for = self._filter.obstacles
             solve, begin = self._filter.solve, time.perf_counter()
@@ -244,7 +244,7 @@ class SafetyFilterNode(RobotNode):
             self._job = start_job(work)
 
     def _take_set(self) -> None:
-        """Use the set that is ready, and begin the next one."""
+        """Use the solved set, and start solving the next one."""
         job = self._job
         if job is None or not job.finished.is_set():
             return

@@ -1,1 +1,1 @@
-"""Distances to the echoes of a scan, and the states around the robot from which it can still stop in time."""
+"""Distances to the echoes of a scan, and the states from which the robot can still stop in time."""

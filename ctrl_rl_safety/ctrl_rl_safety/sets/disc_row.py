@@ -1,4 +1,4 @@
-"""A rectangular robot as a row of discs that cover it, for the set; certificates take the rectangle itself."""
+"""Covers a rectangular robot by a row of discs, for the set only; certificates use the rectangle itself."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 
 HEADINGS = 36
-"""Headings of a set."""
+"""Number of headings of a set."""
 
 
 @cached_njit
 def margins_of_row(margins: Field, offsets: Array, cell: float) -> Field:
-    """Return the least of some margins (rows, columns) at a row of discs (HEADINGS, rows, columns).
+    """Return the minimum of margins (rows, columns) over a row of discs (HEADINGS, rows, columns).
 
     Args:
         margins: Margins of one disc.
-        offsets: Places of the discs ahead of the middle (n,) [m].
-        cell: Distance of neighbouring nodes [m].
+        offsets: Positions of the discs ahead of the centre (n,) [m].
+        cell: Node spacing [m].
     """
     rows, columns = margins.shape
     out = np.empty((HEADINGS, rows, columns), np.float32)
@@ -46,7 +46,7 @@ def margins_of_row(margins: Field, offsets: Array, cell: float) -> Field:
 
 
 def discs_of(model: RobotModel) -> tuple[Array, float]:
-    """Return places ahead of the middle (n,) [m] and the radius [m] of discs that cover the robot."""
+    """Return positions ahead of the centre (n,) [m] and the radius [m] of discs that cover the robot."""
     half_length, half_width = model.core
     if half_length == 0.0:
         return np.zeros(1), model.radius

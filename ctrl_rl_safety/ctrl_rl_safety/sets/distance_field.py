@@ -1,7 +1,7 @@
-"""Distances to the echoes of a scan: on a small grid around the robot for quick answers, and exact ones.
+"""Distances to the echoes of a scan: approximate ones on a small grid around the robot, and exact ones.
 
-A distance is 1-Lipschitz, so that the distance at the nearest node less the way to it is a lower bound. Where that
-bound decides nothing, the echoes themselves are asked: the grid makes answers quicker, never larger.
+Distance is 1-Lipschitz, so the distance at the nearest node minus the distance to that node is a lower bound. If that
+bound is inconclusive, the echoes themselves are used, so the grid speeds up answers without changing them.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from ctrl_rl_safety.models.growth import fixed_growth, moving_growth, standing_g
 Array = NDArray[np.float64]
 
 FAR = 1e3
-"""Distance where there is no echo [m]."""
+"""Distance in place of an echo if there is none [m]."""
 CAP = 0.04
-"""Margins are exact up to here, and at least this much beyond [m]."""
+"""Margins are exact up to this value, and at least this value beyond [m]."""
 NODES = 60
-"""Nodes along each side of the grid."""
+"""Number of nodes along each side of the grid."""
 NONE: Array = np.empty((0, 2))
-"""No echo."""
+"""Array of no echoes."""
 
 
 class Obstacles(NamedTuple):
-    """Echoes in a frame that stands still, and their distances on a grid in it.
+    """Echoes in a fixed frame, and their distances on a grid in that frame.
 
     Attributes:
-        fixed: Echoes of what never moves (2, k) [m].
-        standing: Echoes of what is known to stand (2, n) [m].
+        fixed: Echoes of fixed obstacles (2, k) [m].
+        standing: Echoes of static obstacles (2, n) [m].
         moving: Echoes that may belong to movers (2, m) [m].
         to_fixed: Distance of each node to the nearest fixed echo (rows, columns), along y and x [m].
-        to_standing: Distance of each node to the nearest standing echo (rows, columns) [m].
-        to_moving: Distance of each node to the nearest moving one (rows, columns) [m].
+        to_standing: Distance of each node to the nearest static echo (rows, columns) [m].
+        to_moving: Distance of each node to the nearest moving echo (rows, columns) [m].
         x: Position of the first column [m].
         y: Position of the first row [m].
-        cell: Distance of neighbouring nodes [m].
+        cell: Node spacing [m].
     """
 
     fixed: Array
@@ -72,7 +72,7 @@ def _distances(points: Array, x: float, y: float, cell: float, nodes: int) -> An
 def obstacles_around(
     fixed: Array, standing: Array, moving: Array, centre: tuple[float, float], cell: float
 ) -> Obstacles:
-    """Return echoes (k, 2), (n, 2) and (m, 2) [m] with the distances on a grid around a place [m]."""
+    """Create obstacles from echoes (k, 2), (n, 2) and (m, 2) [m], with distances on a grid around a position [m]."""
     x, y = (float(place) - 0.5 * (NODES - 1) * cell for place in centre)
     stays, stands, moves = (np.ascontiguousarray(each.T) for each in (fixed, standing, moving))
     to_stays, to_stands, to_moves = (_distances(each, x, y, cell, NODES) for each in (stays, stands, moves))
@@ -90,7 +90,7 @@ def _nearest(points: Any, x: float, y: float) -> float:
 
 @njit(inline="always")
 def square_to(points: Any, i: int, x: float, y: float, c: float, s: float, core: tuple[float, float]) -> float:
-    """Return the square of an echo's distance to the core of a robot whose heading has cosine c and sine s [m^2]."""
+    """Return the squared distance of an echo to the core of a robot whose heading has cosine c and sine s [m^2]."""
     dx, dy = points[0, i] - x, points[1, i] - y
     along = max(abs(c * dx + s * dy) - core[0], 0.0)
     aside = max(abs(c * dy - s * dx) - core[1], 0.0)
@@ -108,7 +108,7 @@ def _nearest_to_rectangle(points: Any, x: float, y: float, theta: float, core: t
 
 @njit
 def distance_to(points: Any, x: float, y: float, theta: float, core: tuple[float, float]) -> float:
-    """Return the distance of the nearest echo (2, n) to the core of a robot [m]: its rectangle, or a disc's middle."""
+    """Return the distance from the nearest echo (2, n) to a robot's core [m]: a rectangle, or a disc's centre."""
     if core[0] > 0.0:
         return _nearest_to_rectangle(points, x, y, theta, core)
     return _nearest(points, x, y)
@@ -125,17 +125,17 @@ def margin_at(
     t: float,
     rooms: tuple[float, float],
 ) -> float:
-    """Return the distance by which a robot keeps clear of all grown echoes [m]; at least `CAP` stands for more.
+    """Return a robot's clearance to all inflated echoes [m]; values of at least `CAP` are lower bounds.
 
     Args:
         obstacles: Echoes with their grid.
         growth: Bounds of motion.
         core: Half the length and width of the robot's rectangle [m]; zeros for a disc.
-        x: Position of its middle [m].
-        y: Position of its middle [m].
+        x: Coordinate x of the robot's centre [m].
+        y: Coordinate y of the robot's centre [m].
         theta: Heading of the rectangle [rad].
         t: Time since the echoes were measured [s].
-        rooms: Distance that the core needs to echoes that stay, and to moving ones [m].
+        rooms: Required distance of the core to static and to moving echoes [m].
     """
     stays, stands = rooms[0] + fixed_growth(t, growth), rooms[0] + standing_growth(t, growth)
     moves = rooms[1] + moving_growth(t, growth)

@@ -1,15 +1,15 @@
-"""The states around the robot from which it can still come to a stand without contact.
+"""The states around the robot from which it can still stop without contact.
 
-Passive motion safety (Macek et al. 2009; Bouraine, Fraichard and Salhi 2012): a state is recoverable where some
-manoeuvre stops the robot before any contact. For a disc whose turn rate is bounded, full braking with free turning is
-enough: whoever keeps clear for ever follows a path, and the same path can be followed while braking, because its
-curvature omega / v stays within the bound when v falls. So the set is the viability kernel of the obstacles' complement
-(the infinite-horizon avoid set), and one pass over the speeds, from standing upwards, gives it without an iteration:
+Passive motion safety (Macek et al. 2009; Bouraine, Fraichard and Salhi 2012): a state is recoverable if some manoeuvre
+stops the robot before any contact. For a disc with a bounded turn rate, full braking with free turning is sufficient: a
+robot that stays clear forever follows a path, and can follow the same path while braking, because the curvature omega /
+v stays within the bound as v falls. The set is therefore the viability kernel of the obstacles' complement (the
+infinite-horizon avoid set), and a single pass over the speeds, from zero upwards, computes it without iteration:
 
     V_0 = l,    V_j(x, y, theta) = min(l, max over omega of min(l on the way, V_{j-1}(x+, y+, theta+)))
 
-l is the distance to the grown echoes less the radius. Speeds backwards are those forwards at theta + pi. A rectangle is
-taken as a row of discs that cover it; the proof does not hold for it, as turning itself takes room then.
+l is the distance to the inflated echoes minus the radius. A reverse speed equals a forward speed at theta + pi. A
+rectangle is covered by a row of discs; the proof does not hold for it, because its rotation needs room.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 
 LEVELS = 5
-"""Speeds above zero."""
+"""Number of speeds above zero."""
 TURNS = 7
-"""Turn rates that are tried, from one side to the other."""
+"""Number of turn rates to try, from one side to the other."""
 _FINE = 0.005
 """Time step of the braking between two levels [s]."""
 
 
 class Ladder(NamedTuple):
-    """The way down from each speed to the next one.
+    """Braking steps from each speed to the next lower one.
 
     Attributes:
-        speeds: Speeds from zero to the largest (LEVELS + 1,) [m/s].
-        times: Time from each speed to the one below it (LEVELS + 1,) [s]; zero for the first.
+        speeds: Speeds from zero to the maximum (LEVELS + 1,) [m/s].
+        times: Time from each speed to the next lower one (LEVELS + 1,) [s]; zero for the first.
         ways: Distance driven in that time (LEVELS + 1,) [m].
     """
 
@@ -54,12 +54,12 @@ class Ladder(NamedTuple):
     ways: Array
 
     def time_to_stand(self, v: float) -> float:
-        """Return the time of full braking from a speed [m/s]."""
+        """Return the time of full braking from a speed [m/s] to rest."""
         return float(np.interp(abs(v), self.speeds, np.cumsum(self.times)))
 
 
 def brake_ladder(model: RobotModel) -> Ladder:
-    """Return times and ways of full braking; with a lag, what is left at `STANDS` counts as driven at once."""
+    """Return times and distances of full braking; with a lag, motion below `STANDS` counts as instantaneous."""
     top = max(model.speed, model.reverse_speed)
     speeds = np.linspace(0.0, top, LEVELS + 1)
     times, ways = np.zeros(LEVELS + 1), np.zeros(LEVELS + 1)
@@ -80,15 +80,15 @@ def brake_ladder(model: RobotModel) -> Ladder:
 
 @dataclass(frozen=True)
 class RecoverableSet:
-    """Values on the grid of the obstacles; a state is recoverable where its value is not negative.
+    """Values on the grid of the obstacles; a state is recoverable if its value is non-negative.
 
     Attributes:
         values: Margins (LEVELS + 1, HEADINGS, rows, columns) [m].
         x: Position of the first column [m].
         y: Position of the first row [m].
-        cell: Distance of neighbouring nodes [m].
+        cell: Node spacing [m].
         top: Speed of the last level [m/s].
-        stamp: Time of the scan that it was solved for [s], on the clock of whoever asked.
+        stamp: Time of the scan for which the set was solved [s], on the caller's clock.
     """
 
     values: Field
@@ -104,7 +104,7 @@ class RecoverableSet:
         return float(value_at(self.values, self.x, self.y, self.cell, self.top, x, y, theta, v))
 
     def slice_at(self, theta: float, v: float) -> Field:
-        """Return the margins (rows, columns) at a heading [rad] and speed [m/s], by the nearest nodes."""
+        """Return the margins (rows, columns) at a heading [rad] and speed [m/s], from the nearest nodes."""
         heading = theta if v >= 0.0 else theta + math.pi
         level = round(min(abs(v) / self.top, 1.0) * LEVELS)
         column = round(heading / (2.0 * math.pi) * HEADINGS) % HEADINGS
@@ -120,16 +120,16 @@ def _rise(
     cell: float,
     out: Field,
 ) -> None:
-    """Write the values of a speed (HEADINGS, rows, columns) from those of the speed below it.
+    """Compute the values at a speed (HEADINGS, rows, columns) from those at the next lower speed.
 
     Args:
-        below: Values of the speed below (HEADINGS, rows + 2 pad, columns + 2 pad), padded at its edges.
-        here: Margins of places at this speed, padded alike (1 or HEADINGS, rows + 2 pad, columns + 2 pad).
-        length: Way between the two speeds [m].
+        below: Values at the next lower speed (HEADINGS, rows + 2 pad, columns + 2 pad), padded at its edges.
+        here: Margins of positions at this speed, with the same padding (1 or HEADINGS, rows + 2 pad, columns + 2 pad).
+        length: Distance driven between the two speeds [m].
         time: Time between them [s].
-        turn_rate: Largest turn rate [rad/s].
-        cell: Distance of neighbouring nodes [m].
-        out: Values of this speed (HEADINGS, rows, columns).
+        turn_rate: Maximum turn rate [rad/s].
+        cell: Node spacing [m].
+        out: Values at this speed (HEADINGS, rows, columns).
     """
     rows, columns = out.shape[1], out.shape[2]
     pad = (here.shape[1] - rows) // 2
@@ -183,7 +183,7 @@ def _rise(
 
 
 _rise_without_gil = cached_njit(_rise, nogil=True)
-"""Solves run in a thread, while commands are answered in another one."""
+"""Version without the GIL, because solves run in a thread while another one answers commands."""
 
 
 @cached_njit
@@ -204,16 +204,16 @@ def solve_set(
     commit: float = 0.0,
     stamp: float = 0.0,
 ) -> RecoverableSet:
-    """Return the recoverable set around the robot.
+    """Compute the recoverable set around the robot.
 
     Args:
-        obstacles: Echoes with the distances on the grid.
+        obstacles: Echoes with their distances on the grid.
         model: Constants of the robot.
         growth: Bounds of motion.
         age: Age of the echoes [s].
-        v: Present speed [m/s], which bounds the time until a lower one is reached; None for the largest.
-        commit: Time until a new command has an effect [s].
-        stamp: Time to note in the set [s].
+        v: Present speed [m/s], which bounds the time until a lower one is reached; None for the maximum.
+        commit: Time until a new command takes effect [s].
+        stamp: Time stamp of the set [s].
     """
     ladder = brake_ladder(model)
     top = float(ladder.speeds[-1])

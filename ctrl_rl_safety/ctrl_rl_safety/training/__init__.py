@@ -1,4 +1,4 @@
-"""The filter while a policy is learnt, and learners that try to get round it."""
+"""Policy learning behind the filter, and adversarial policies that learn to defeat it."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""The command `train`: policies that learn behind the filter or without it, and attackers that learn against it."""
+"""The command `train`: policies learnt with or without the filter, and attackers learnt against it."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ _ROBOTS = ("turtlebot3_burger", "turtlebot2")
 
 @dataclass(frozen=True, kw_only=True)
 class Train(ExperimentOptions):
-    """Learn `car_navigation` by PPO with and without the filter as a shield, and check all policies both ways.
+    """Train `car_navigation` by PPO with and without the filter as a shield, and evaluate all policies both ways.
 
-    With `--attackers` learn policies that try to bring a robot to a contact, behind the filter or without it. All in
-    the planar engine; an interrupted call goes on where it was cut off.
+    With `--attackers`, train policies that try to cause contacts, with or without the filter. All training uses the
+    planar engine; an interrupted call resumes where it stopped.
     """
 
     folder: FolderToWrite = Path("runs/safety_shield")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has a subfolder, from which it is resumed."""
     samples: Positive = 10 * _ITERATION
-    """Samples of a run; whole iterations of 2048 are done."""
+    """Samples of a run, rounded to whole iterations of 2048."""
     ways: Annotated[tuple[str, ...], some_of(_WAYS)] = _WAYS
-    """No shield (none), or what the learner is told where the filter changes its action: its own action (raw), the one
-    that was sent (sent), or its own with a lower reward (penalty)."""
+    """Treatment of corrections: no shield (none), or the learner receives its own action (raw), the action sent (sent),
+    or its own action with a lower reward (penalty)."""
     attackers: Annotated[tuple[str, ...], some_of(_ROBOTS)] = ()
-    """Robots to learn attackers for, in place of the comparison."""
+    """Robots for which to train attackers, in place of the comparison."""
     bare: bool = False
-    """Let attackers learn without the filter, where contacts are to be had."""
+    """Train attackers without the filter, where contacts are possible."""
 
 
 def _train(options: Train) -> int:
@@ -66,12 +66,12 @@ def _train(options: Train) -> int:
 
 
 def collect(runs: Sequence[Any], results: Sequence[Any], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the rows of all runs with one value a seed, and the curves of success by method.
+    """Return the rows of all runs with one value per seed, and the success curves by method.
 
     Args:
         runs: Runs of `ShieldRun`.
         results: Results of the runs.
-        folder: Folder of the runs, in which the policies are.
+        folder: Folder of the runs, which contains the policies.
     """
     from ctrl_rl_learning.sb3 import SUCCESS, evaluate
     from ctrl_rl_learning.study import curves_of, samples_to

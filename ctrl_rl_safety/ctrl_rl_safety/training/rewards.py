@@ -1,4 +1,4 @@
-"""What a step pays beside the task's own reward: progress towards the goal, or towards a contact."""
+"""Shaping rewards in addition to the task's own: progress towards the goal, or towards a contact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CONTACT = 1000.0
 
 
 class Approach(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Pays 100 for each metre that the middle of the goal comes nearer; a goal pays 1000 in most tasks."""
+    """Adds 100 per metre of progress towards the goal's centre; reaching the goal gives 1000 in most tasks."""
 
     def __init__(self, environment: Environment, task: NavigationTask) -> None:
         super().__init__(environment)
@@ -30,16 +30,16 @@ class Approach(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         return observation, info
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Drive for a step."""
+        """Advance by one step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         before, self._before = self._before, float(np.linalg.norm(info["state"][:2] - self._goal))
         return observation, float(reward) + _PER_METRE * (before - self._before), terminated, truncated, info
 
 
 class Attack(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Pays for contacts that the robot could have avoided, and for each centimetre by which one comes nearer.
+    """Rewards contacts that the robot could have avoided, and each centimetre of approach to one.
 
-    Such a contact counts as the goal, so that the success of an attacker is the part of its episodes with one.
+    Such a contact counts as the goal, so an attacker's success rate is the fraction of its episodes with a contact.
     """
 
     def __init__(self, environment: Environment) -> None:
@@ -53,7 +53,7 @@ class Attack(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         return observation, info
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Drive for a step."""
+        """Advance by one step."""
         observation, _, terminated, truncated, info = self.env.step(action)
         before, self._before = self._before, max(float(info["clearance"]), 0.0)
         reward = _PER_METRE * (before - self._before)

@@ -1,4 +1,4 @@
-"""Runs of PPO in the planar engine: behind a shield or without one, and against the filter."""
+"""PPO runs in the planar engine: with or without a shield, and against the filter."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ WAYS: tuple[Told, ...] = ("none", "raw", "sent", "penalty")
 
 @dataclass(frozen=True)
 class ShieldRun(SimulatedRun):
-    """A policy that learns a task of the car, and is checked behind the filter and without it.
+    """A policy trained on a task of the car, and evaluated with and without the filter.
 
     Attributes:
         task_name: Name of the task.
-        way: "none" for no shield, or what the learner is told of the corrections.
-        seed: Seed of everything random.
+        way: "none" for no shield, or the treatment of corrections.
+        seed: Random seed.
     """
 
     task_name: str
@@ -51,34 +51,34 @@ class ShieldRun(SimulatedRun):
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result."""
+        """Description of the run for its result."""
         return {"task": self.task_name, "way": self.way, "seed": self.seed, "model": repr(CAR)}
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the environment of learning; where a rate is given the one without a shield."""
+        """Create the training environment; if a rate is given, the one without a shield."""
         return self.checked(active=self.way != "none" and rate is None)
 
     def checked(self, active: bool) -> Environment:
-        """Return the environment with the filter or without it."""
+        """Create the evaluation environment, with or without the filter."""
         told = "raw" if self.way == "none" else self.way
         task = self.task
         options = ShieldOptions(active, told)
         return shielded_environment(task, CAR, options, lambda environment: Approach(environment, task))
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples."""
+        """Create the untrained algorithm with its own environments, for this many samples."""
         kind = ToldPPO if self.way == "sent" else None
         return make_algorithm("ppo", self.environment, self.seed, samples, kind)
 
 
 @dataclass(frozen=True)
 class AttackRun(SimulatedRun):
-    """An attacker that learns to bring a robot to a contact, in a room with boxes and movers.
+    """An attacker that learns to cause contacts, in a room with boxes and movers.
 
     Attributes:
-        robot: Robot that it drives, a key of `ROBOTS`.
-        seed: Seed of everything random.
-        bare: Whether it learns without the filter, where contacts are to be had.
+        robot: Robot to drive, a key of `ROBOTS`.
+        seed: Random seed.
+        bare: Whether to train without the filter, where contacts are possible.
     """
 
     robot: str
@@ -106,14 +106,14 @@ class AttackRun(SimulatedRun):
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result."""
+        """Description of the run for its result."""
         return {"robot": self.robot, "seed": self.seed, "bare": self.bare, "model": repr(self._model)}
 
     def environment(self, _rate: int | None = None) -> Environment:
-        """Return the environment that pays for contacts."""
+        """Create the environment that rewards contacts."""
         options = ShieldOptions(not self.bare, mover_speed=MOVER_SPEED)
         return shielded_environment(self.task, self._model, options, Attack)
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples."""
+        """Create the untrained algorithm with its own environments, for this many samples."""
         return make_algorithm("ppo", self.environment, self.seed, samples)

@@ -1,9 +1,9 @@
-"""The safety filter around any Gymnasium environment of a robot on wheels.
+"""The safety filter for any Gymnasium environment of a wheeled robot.
 
-    robot = dataclasses.replace(find_model("turtlebot3_burger"), delay=0.0, lag=0.0)     # as this simulator moves it
+    robot = dataclasses.replace(find_model("turtlebot3_burger"), delay=0.0, lag=0.0)     # as in this simulator
     environment = SafetyShield(mine, robot, step=0.1, state="state", scan=lambda seen: seen[:360], bearings=angles)
 
-The filter answers once a step. For the suite's own worlds, `Shield` answers several times a step.
+The filter answers once per step. For the suite's own worlds, `Shield` answers several times per step.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ _LONGEST_STEP = 1.0
 
 
 class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Lets an action through as far as the robot can provably still stop; sends the nearest safe one otherwise.
+    """Passes an action as long as the robot can provably still stop; otherwise sends the nearest safe one.
 
-    The promise is as good as the robot's constants: the simulator must not accelerate, brake or turn worse than they
-    say, nor take longer to obey, and `scan` must show whatever can be touched. Episodes must begin where the robot can
-    still stop. `info` then has
+    The guarantee requires correct robot constants: the simulator must accelerate, brake and turn at least as well as
+    stated, with no more delay, and `scan` must show every obstacle. Episodes must start in a state from which the robot
+    can still stop. `info` then has
 
-    - `told_action`, the action that was sent in place of the learner's own;
-    - `changed`, 1.0 where the filter changed it, else 0.0;
-    - `filter_mode`, what the filter did (PASSED, CORRECTED, ESCAPING, UNBLOCKING or EVADING).
+    - `told_action`, the action sent in place of the learner's own;
+    - `changed`, 1.0 if the filter changed the action, else 0.0;
+    - `filter_mode`, the filter's mode (PASSED, CORRECTED, ESCAPING, UNBLOCKING or EVADING).
 
     >>> import ctrl_rl, gymnasium, numpy as np
     >>> class Aisle(gymnasium.Env):                     # a robot in front of a wall at x = 1 m
@@ -77,22 +77,22 @@ class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Args:
             env: Environment of one robot whose action is a box of two numbers, for speed and turn rate.
-            robot: Constants of the robot as the simulator moves it: a name, a YAML file or a `RobotModel`. A simulator
-                that obeys at once has `delay` and `lag` 0.
+            robot: Constants of the simulated robot: a name, a YAML file or a `RobotModel`. Set `delay` and `lag` to 0
+                for a simulator without them.
             step: Duration of a step of the environment [s].
-            state: Where x, y, theta, v, omega (5,) are, in SI units and any fixed frame: a key of `info`, a function of
+            state: Source of x, y, theta, v, omega (5,), in SI units and any fixed frame: a key of `info`, a function of
                 the observation, or a function of the observation and `info`.
-            scan: Where the scan is: ranges (n,) [m] at `bearings`, of which those that are not finite are no echo; or
-                without bearings the echoes themselves (n, 2) in the robot's frame [m], in the order of their bearings.
+            scan: Source of the scan: ranges (n,) [m] at `bearings`, where non-finite ranges mean no echo; or without
+                `bearings` the echoes themselves (n, 2) in the robot's frame [m], in bearing order.
             bearings: Bearings (n,) of the ranges in the robot's frame [rad].
-            commands: Least and largest speed [m/s] and turn rate [rad/s], ((v, v), (omega, omega)), that the bounds of
-                the action stand for; unless given, actions are commands in SI units.
-            mover_speed: Largest speed of other movers [m/s].
-            recoverable_set: Whether the recoverable set is solved at each step, which takes milliseconds and lets more
-                through in tight places.
+            commands: Minimum and maximum speed [m/s] and turn rate [rad/s], ((v, v), (omega, omega)), at the bounds of
+                the action; by default, actions are commands in SI units.
+            mover_speed: Maximum speed of movers [m/s].
+            recoverable_set: Whether to solve the recoverable set in each step, which takes milliseconds and passes more
+                commands in tight places.
 
         Raises:
-            SafetyError: An argument is wrong.
+            SafetyError: An argument is invalid.
         """
         super().__init__(env)
         space = env.action_space
@@ -112,17 +112,17 @@ class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._now, self._reading = 0.0, Reading(np.zeros(3), 0.0, 0.0)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, of which the filter knows nothing but its first scan."""
+        """Start an episode; the filter is reset to its first scan."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._filter, self._now = SafetyFilter(self._model, self._options), 0.0
         self._see(self._filter, observation, info)
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Do a step with the action, or with the nearest one that the filter lets through.
+        """Step with the action, or with the nearest one that passes the filter.
 
         Raises:
-            SafetyError: There was no reset, or the action, state or scan is not made of finite numbers.
+            SafetyError: The environment was not reset, or the action, state or scan is not finite.
         """
         if self._filter is None:
             raise SafetyError("reset the environment before its first step")
@@ -167,7 +167,7 @@ class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
         return commands
 
     def _command_of(self, action: Any) -> Array:
-        """Return speed and turn rate (2,) of an action (2,) within its bounds."""
+        """Convert an action (2,) to speed and turn rate (2,), within the bounds."""
         given = np.asarray(action, float)
         if given.shape != (2,) or not all(map(math.isfinite, given.tolist())):
             raise SafetyError(f"action {given.tolist()}: must be two finite numbers")
@@ -178,7 +178,7 @@ class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
         return np.asarray(low + (given - self._low) / (self._high - self._low) * (high - low))
 
     def _action_of(self, command: Array) -> NDArray[Any]:
-        """Return the action (2,) of a command (2,), in the type of the action space."""
+        """Convert a command (2,) to an action (2,), in the type of the action space."""
         action = command
         if self._bounds is not None:
             low, high = self._bounds.T

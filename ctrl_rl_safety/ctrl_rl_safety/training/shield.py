@@ -1,7 +1,7 @@
-"""The safety filter as a Gymnasium wrapper, and the choice of what a learner is told of its corrections.
+"""The safety filter as a Gymnasium wrapper, with a choice of how corrections are reported to the learner.
 
 environment = Shield(NavigationEnv(with_whole_scan(task), options=SETTINGS), model)
-environment = shielded_environment(task, model)    # the same with the task's own beams, scaled for learners
+environment = shielded_environment(task, model)    # the same with the task's own beams, scaled for learning
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from ctrl_rl_safety.trials.worlds import with_whole_scan
 from sim_bridge import NavigationEnv, SimulationOptions
 
 SETTINGS = SimulationOptions(engine="planar", rate=20, scan_rate=5.0, motor_lag=MOTOR_LAG)
-"""Settings of the simulation while learning: few physics steps and scans, which take most of the time."""
+"""Simulation settings for training: few physics steps and scans, which take most of the time."""
 
 
 @dataclass(frozen=True)
 class ShieldOptions:
-    """What a shield does.
+    """Settings of a shield.
 
     Attributes:
-        active: Whether commands are filtered; without it the robot moves alike, and may touch things.
-        told: The learner's own action ("raw"), the one that was sent in its place ("sent"), or its own with a lower
-            reward where they differ ("penalty").
-        penalty: Reward that a difference as large as half the range of a command costs in a step.
-        mover_speed: Largest speed of movers [m/s].
-        period: Time between two answers of the filter, of which a step of the task has a whole number [s].
+        active: Whether commands are filtered; if not, the robot moves in the same way but may collide.
+        told: Action reported to the learner: its own ("raw"), the one sent in its place ("sent"), or its own with a
+            lower reward if they differ ("penalty").
+        penalty: Reward deducted per step for a difference of half a command's range.
+        mover_speed: Maximum speed of movers [m/s].
+        period: Period of the filter, which must divide the task's time step [s].
     """
 
     active: bool = True
@@ -50,20 +50,20 @@ class ShieldOptions:
 
 
 class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """An environment in which the filter answers several times a step, in place of the raw action.
+    """An environment in which the filter replaces the raw action several times per step.
 
-    Info has `told_action` besides, the action (2,) of the step as the learner is to remember it (`ToldActions` puts it
-    into the memory of PPO); `changed`, the part of the commands that the filter changed; and `avoidable`, whether the
-    episode ended by a contact that the robot could have avoided.
+    Info additionally has `told_action`, the action (2,) that the learner should store (`ToldActions` writes it to PPO's
+    buffer); `changed`, the fraction of commands changed by the filter; and `avoidable`, whether the episode ended in a
+    contact that the robot could have avoided.
     """
 
     def __init__(self, environment: NavigationEnv, model: RobotModel, options: ShieldOptions | None = None) -> None:
-        """Put a filter before a robot on wheels.
+        """Add a filter to a wheeled robot.
 
         Args:
-            environment: Environment whose lidar looks all around, with the `motor_lag` of `SETTINGS`.
-            model: Constants of the robot, by which its base then moves.
-            options: Settings of the shield; the defaults unless given.
+            environment: Environment with a 360 degree lidar and the `motor_lag` of `SETTINGS`.
+            model: Constants of the robot, which its base then follows.
+            options: Settings of the shield; the default ones if omitted.
         """
         super().__init__(environment)
         self._inner, self._model, self._options = environment, model, options or ShieldOptions()
@@ -81,7 +81,7 @@ class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
         return observation, info
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Drive by an action (2,) for the task's time step, as far as the filter lets it through."""
+        """Apply an action (2,) for the task's time step, as far as the filter allows."""
         assert self._robot is not None, "reset before the first step"
         raw = self._inner.command_of(action)
         ticks, changed = self._robot.ticks, self._robot.changed
@@ -98,7 +98,7 @@ class Shield(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
 
 
 class TaskBeams(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
-    """The beams of a task's own lidar, out of a lidar that looks all around."""
+    """Selects the beams of a task's own lidar from a 360 degree lidar."""
 
     def __init__(
         self, environment: gymnasium.Env[Vector, Vector], task: NavigationTask, around: NavigationTask
@@ -120,12 +120,12 @@ class TaskBeams(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
 def shielded_environment(
     task: NavigationTask, model: RobotModel, options: ShieldOptions | None = None, *wrappers: Any
 ) -> Environment:
-    """Return the environment of a task in an arena behind a shield, as learners see it.
+    """Create the environment of an arena task behind a shield, wrapped for learning.
 
     Args:
-        task: Task of a robot on wheels.
+        task: Task of a wheeled robot.
         model: Constants of the robot.
-        options: Settings of the shield; the defaults unless given.
+        options: Settings of the shield; the default ones if omitted.
         wrappers: Functions called with the environment before its observations are scaled.
     """
     around = with_whole_scan(task)

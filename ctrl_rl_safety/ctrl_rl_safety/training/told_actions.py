@@ -1,4 +1,4 @@
-"""PPO that remembers the actions it is told, in place of those that it chose."""
+"""PPO that stores the action reported by the environment in place of the one it chose."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 
 
 class ToldActions(BaseCallback):
-    """Puts the `told_action` of steps that a shield changed into the memory, with its present probability.
+    """Replaces actions changed by a shield in the buffer by their `told_action`, with its current probability.
 
-    The gradient then belongs to the commands that the robot drove by.
+    The gradient then refers to the commands that the robot executed.
     """
 
     def _on_step(self) -> bool:

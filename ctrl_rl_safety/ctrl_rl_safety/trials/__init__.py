@@ -1,4 +1,4 @@
-"""Episodes in the simulator with and without the filter: adversaries, and the policies that ship."""
+"""Simulated episodes with and without the filter, driven by adversaries and by shipped policies."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""The command `trials`: episodes with and without the filter, counted."""
+"""The command `trials`: counts contacts in episodes with and without the filter."""
 
 from __future__ import annotations
 
@@ -31,49 +31,48 @@ from ctrl_rl_safety.trials.worlds import PLACES
 _ROBOTS = ("turtlebot3_burger", "turtlebot2")
 _EXPERIMENT = "safety_filter"
 ScanRate = Literal[0, 5, 10, 20]
-"""Rates that are whole numbers of the filter's ticks and of steps of each engine [Hz]."""
+"""Scan rates that are compatible with the filter's ticks and the steps of each engine [Hz]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Drives a simulated robot by adversaries and by policies, with and without the safety filter, and counts contacts.
+    """Drive a simulated robot with adversaries and policies, with and without the safety filter, and count contacts.
 
-    A contact is avoidable where the robot moves, or touches something that stands. A mover that runs into a robot that
-    stands is counted apart. In tasks that fly the filter is the guard of planar quadrotors, which knows walls and
-    obstacles, and a tilt beyond the limit counts as a contact. Exits with 1 where a robot behind the filter had an
-    avoidable one.
+    A contact is avoidable if the robot moves or touches a static object. A mover running into a stationary robot is
+    counted separately. In flight tasks, the filter is the guard of planar quadrotors, which knows walls and obstacles,
+    and a tilt beyond the limit counts as a contact. Exits with 1 if a robot behind the filter had an avoidable contact.
     """
 
     sources: tuple[str, ...] = ADVERSARIES
-    """Adversaries (full_speed, random, and attacker, which has learnt to bring about contacts), and policies: names of
-    shipped ones, files, or POLICY@TASK for another task; full_speed@TASK and random@TASK drive in a task, too."""
+    """Adversaries (full_speed, random, and attacker, which was trained to cause contacts), and policies: names of
+    shipped ones, files, or POLICY@TASK for another task; full_speed@TASK and random@TASK drive in a task as well."""
     episodes: Positive = 84
-    """Number of episodes of each source, place, robot and guard."""
+    """Number of episodes per source, place, robot and guard."""
     seed: NotNegative = 0
-    """Seed of the first episode; the others follow."""
+    """Seed of the first episode; the others are consecutive."""
     guards: Annotated[tuple[str, ...], some_of(GUARDS)] = ("none", "filter")
-    """Between source and robot: nothing, the filter, the filter with the map, the filter before a robot with 10 % less
-    braking and 30 ms more delay, or a quadrotor 3 % heavier, than it assumes (mismatch), the filter before the engine's
-    own wheels whose commands come 0.7 s late, as it knows (late), or nothing where nobody moves (alone)."""
+    """Guard between source and robot: nothing, the filter, the filter with the map, the filter with a robot that has 10
+    % less braking and 30 ms more delay, or a quadrotor that is 3 % heavier, than assumed (mismatch), the filter with
+    the engine's own wheels and a known command delay of 0.7 s (late), or nothing and no movers (alone)."""
     places: Annotated[tuple[str, ...], some_of(PLACES)] = PLACES
-    """Rooms of adversaries: boxes that stand, or also two movers of up to 0.4 m/s."""
+    """Rooms for adversaries: static boxes, optionally with two movers of up to 0.4 m/s."""
     robots: Annotated[tuple[str, ...], some_of(_ROBOTS)] = _ROBOTS
-    """Robots of adversaries."""
+    """Robots for adversaries."""
     engine: Literal["planar", "pybullet", "mujoco"] = "planar"
     """Physics engine."""
     scan_rate: ScanRate = 0
-    """Scans per second in the tasks of policies on wheels: 5, 10 or 20; 0 for the task's own. A policy decides as often
-    as it does there."""
+    """Scans per second in tasks of policies for wheeled robots: 5, 10 or 20; 0 for the task's own. The decision rate of
+    a policy is unchanged."""
     movers: NotNegative = 0
-    """Number of movers of up to 0.4 m/s that wander in the tasks of policies on wheels, besides their own."""
+    """Number of additional movers of up to 0.4 m/s that wander in the tasks of policies for wheeled robots."""
     folder: FolderToWrite = Path("runs/safety_filter")
-    """Folder that keeps the episodes: after an interruption trials go on where they were."""
+    """Folder for the episodes, from which interrupted trials are resumed."""
     results: OptionalFileToWrite = None
-    """JSON file for the results; rows of other methods that it has are kept."""
+    """JSON file for the results; existing rows of other methods are kept."""
 
 
 def cells_of(options: Options) -> list[Cell]:
-    """Return the cells of trials, those of one source side by side.
+    """Return the trial conditions, grouped by source.
 
     Raises:
         SafetyError: A source is unknown.
@@ -95,10 +94,10 @@ def cells_of(options: Options) -> list[Cell]:
 
 
 def player_of(cell: Cell, engine: str, scan_rate: float = 0.0, movers: int = 0) -> Player | FlightPlayer:
-    """Return who plays the episodes of a cell; `scan_rate` [Hz] and `movers` are for policies of robots on wheels.
+    """Create the runner of a condition's episodes; `scan_rate` [Hz] and `movers` apply to policies of wheeled robots.
 
     Raises:
-        CtrlRlError: Its source, task, robot or guard do not go together.
+        CtrlRlError: Source, task, robot and guard are incompatible.
     """
     if cell.place not in PLACES and (task := load_navigation_task(cell.place)).plane == "xz":
         return FlightPlayer(cell, engine, task)
@@ -111,13 +110,13 @@ def rows_of(
     bare: Sequence[TrialOutcome] = (),
     alone: Sequence[TrialOutcome] = (),
 ) -> list[Result]:
-    """Return the rows of a cell; the time lost is that of pairs of one seed that both reach the goal.
+    """Return the result rows of a condition; the time lost is measured in pairs of one seed that both reach the goal.
 
     Args:
-        method: Name of the cell.
-        outcomes: Episodes of the cell.
+        method: Name of the condition.
+        outcomes: Episodes of the condition.
         bare: Episodes of the same seeds without a filter.
-        alone: Episodes of the same seeds without a filter and without anything that moves.
+        alone: Episodes of the same seeds without a filter and without movers.
     """
     figures: dict[str, list[float]] = {
         "avoidable collisions": [float(each.avoidable) for each in outcomes],
@@ -138,13 +137,13 @@ def _lost(outcomes: Sequence[TrialOutcome], others: Sequence[TrialOutcome]) -> l
 
 
 def _changes(options: Options) -> str:
-    """Return in words what is not as in the tasks themselves."""
+    """Describe the differences to the tasks themselves."""
     rate = f", {options.scan_rate} scans a second" if options.scan_rate else ""
     return rate + (f", {options.movers} movers" if options.movers else "")
 
 
 def _finished(cell: Cell, options: Options, bar: tqdm[Any]) -> list[TrialOutcome]:
-    """Return the outcomes of a cell, and play what is missing."""
+    """Return the outcomes of a condition, after running missing episodes."""
     player = player_of(cell, options.engine, options.scan_rate, options.movers)
     name = re.sub(r"\W+", "-", f"{cell.method}-{options.engine}{_changes(options)}")
     settings = {"cell": cell.method, "engine": options.engine, "seed": options.seed, "terms": player.terms}

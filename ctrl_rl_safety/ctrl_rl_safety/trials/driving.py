@@ -1,4 +1,4 @@
-"""Episodes of a policy in its simulated task, with the safety filter or without it: `drive` of the front door."""
+"""Simulated episodes of a policy in a task, with or without the safety filter: the `drive` of package `ctrl_rl`."""
 
 from __future__ import annotations
 
@@ -44,26 +44,26 @@ def drive(
     *,
     engine: str = "planar",
 ) -> Episodes[Sensors]:
-    """Let a policy, or any other driver, drive one episode of each seed in a simulated task.
+    """Drive one episode per seed in a simulated task with a policy or any other driver.
 
-    The base moves by the constants of the robot, its lags and delays included, whether there is a filter or not.
+    The base follows the constants of the robot, including lag and delay, with and without a filter.
 
     >>> import ctrl_rl
-    >>> runs = ctrl_rl.drive("car_ttr", "car_ttr", seeds=range(2))          # a policy that comes with the suite
+    >>> runs = ctrl_rl.drive("car_ttr", "car_ttr", seeds=range(2))          # a policy shipped with the suite
     >>> len(runs), runs.seeds.tolist()
     (2, [0, 1])
 
     Args:
         task: Navigation task, its name or its file.
-        policy: Learnt policy, the name of one that comes with the suite, a file, or an object with
-            `command(sensors) -> command`, which decides at each scan.
+        policy: Learnt policy, the name of a shipped one, a file, or an object with `command(sensors) -> command`,
+            called at each scan.
         seeds: Seeds of the episodes.
-        filter: "safety" to put the safety filter between policy and robot, whose lidar then looks all around; or a
-            function of sensors and command, called once for each command of the policy.
+        filter: "safety" to insert the safety filter between policy and robot, which then has a 360 degree lidar; or a
+            function of sensors and command, called once per command of the policy.
         engine: Physics engine, one of `sim_bridge.ENGINES`.
 
     Raises:
-        CtrlRlError: There is no such task or policy, or the filter does not know the robot.
+        CtrlRlError: The task or policy does not exist, or the filter does not know the robot.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
@@ -94,7 +94,7 @@ def drive(
 
 
 def _driven(policy: Policy | Driver[Sensors], task: NavigationTask) -> tuple[Driver[Sensors], float, Array | None]:
-    """Return who drives, how long each command holds [s], and the goal that is shown."""
+    """Return the driver, the duration of each command [s], and the goal given to the driver."""
     if isinstance(policy, Policy):
         return PolicyDriver(policy), period_of(policy, task), goal_for(policy, task)
     return policy, round(1.0 / task.lidar.rate / TICK) * TICK, goal_of(task)

@@ -1,4 +1,4 @@
-"""One episode of a trial: who commands, where, which robot, and what stands between them."""
+"""One trial episode: the source of commands, the place, the robot, and the guard between them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from sim_bridge import SimulatedWorld, SimulationOptions, goal_of
 Array = NDArray[np.float64]
 
 ADVERSARIES = ("full_speed", "random", "attacker")
-"""Sources that want no good; the last one is a policy that `train --attackers` has learnt against the filter."""
+"""Adversarial sources; the last one is a policy trained by `train --attackers` against the filter."""
 _ATTACKERS = Path(__file__).parent / "attackers"
 GUARDS = {
     "none": "no filter",
@@ -49,33 +49,36 @@ GUARDS = {
     "late": "filter, commands 0.7 s late",
     "alone": "nobody there",
 }
-"""Names in results. With `mismatch` the robot has 10 % less braking and 30 ms more delay than the filter assumes; with
-`late` the filter knows the delay, and the wheels move as the engine's motors do; with `alone` nothing moves."""
+"""Names of the guards in results.
+
+With `mismatch` the robot has 10 % less braking and 30 ms more delay than the filter assumes; with `late` the filter
+knows the delay, and the wheels move as the engine's motors do; with `alone` nothing moves.
+"""
 UNGUARDED = ("none", "alone")
-"""Guards without the filter, to which the others are compared."""
+"""Guards without the filter, used as the reference."""
 _LESS_BRAKING, _MORE_DELAY, _LATE = 0.9, 0.03, 0.7
 CAR = RobotModel(
     "car", ROBOTS["turtlebot2"].radius, 2.0, 0.8, 0.5, 3.1, 3.1, 25.2, 0.05, 0.0, 0.08, 0.03, 0.0, track=0.23
 )
-"""The car of `car_ttr` and `car_navigation`. The force of its motors limits speed and turn rate together."""
+"""The car of `car_ttr` and `car_navigation`, whose motor force limits speed and turn rate together."""
 _SIZE = 4.0
-"""Extent of movers that the filter is told, over the radius of the largest in a task."""
+"""Extent of movers reported to the filter, relative to the largest radius in a task."""
 RATES, RATE = {"planar": 40}, 240
-"""Physics steps per second [Hz] by engine, and those of the others."""
+"""Physics steps per second [Hz] by engine, and the default."""
 _WITH_SET = 20
-"""Every so many episodes of an adversary have the recoverable set, which takes most of the time; the others rely on the
-fixed escapes alone, as a robot does whose set is late."""
+"""Interval of an adversary's episodes with the recoverable set, which takes most of the time; the others use fixed
+escapes only, as on a robot whose set is late."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Episodes that share everything but their seed.
+    """Trial condition: the common settings of episodes that differ only in their seed.
 
     Attributes:
-        source: An adversary, or the name of a policy.
+        source: Adversary, or name of a policy.
         place: One of `worlds.PLACES`, or the name of the policy's task.
-        robot: Robot of an adversary, a key of `ROBOTS`; empty for the one of the task.
-        guard: A key of `GUARDS`.
+        robot: Robot of an adversary, a key of `ROBOTS`; empty for the task's robot.
+        guard: Guard, a key of `GUARDS`.
     """
 
     source: str
@@ -85,7 +88,7 @@ class Cell:
 
     @property
     def method(self) -> str:
-        """Name of the cell in results."""
+        """Name of the condition in results."""
         own = not self.robot and self.source.startswith(self.place)
         return ", ".join(
             each for each in (self.source, "" if own else self.place, self.robot, GUARDS[self.guard]) if each
@@ -94,16 +97,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """End of one episode.
+    """Result of one episode.
 
     Attributes:
         seed: Seed of the episode.
-        end: Name of its outcome.
+        end: Name of the outcome.
         seconds: Simulated duration [s].
-        avoidable: Whether it ended by a contact that the robot could have avoided.
-        run_into: Whether it ended by a mover that ran into a robot that stood.
-        changed: Part of the commands that the filter changed.
-        distance: Way driven [m].
+        avoidable: Whether the episode ended in a contact that the robot could have avoided.
+        run_into: Whether the episode ended with a mover running into the stationary robot.
+        changed: Fraction of the commands changed by the filter.
+        distance: Distance driven [m].
     """
 
     seed: int
@@ -121,10 +124,10 @@ class TrialOutcome:
 
 
 def task_of(policy: str) -> str:
-    """Return the task that a policy's name begins with.
+    """Return the task named at the start of a policy's name.
 
     Raises:
-        SafetyError: There is none.
+        SafetyError: The name has no task.
     """
     found = max((task for task in task_names() if policy.startswith(task)), key=len, default="")
     if not found:
@@ -133,7 +136,7 @@ def task_of(policy: str) -> str:
 
 
 def trial_outcome(episode: Episode[Sensors]) -> TrialOutcome:
-    """Return the end of an episode of a `TrialRobot`."""
+    """Return the outcome of a `TrialRobot`'s episode."""
     info = episode.info
     return TrialOutcome(
         episode.seed,
@@ -147,19 +150,19 @@ def trial_outcome(episode: Episode[Sensors]) -> TrialOutcome:
 
 
 class Player:
-    """Plays the episodes of a cell whose robot has wheels."""
+    """Runs the episodes of a condition with a wheeled robot."""
 
     def __init__(self, cell: Cell, engine: str, scan_rate: float = 0.0, movers: int = 0) -> None:
-        """Load what all episodes need.
+        """Load the data shared by all episodes.
 
         Args:
-            cell: Who commands, where, which robot, and with which guard.
+            cell: Trial condition.
             engine: Physics engine, one of `sim_bridge.ENGINES`.
             scan_rate: Scans per second in the task of a policy [Hz]; 0 for the task's own.
-            movers: Number of movers that wander in the task of a policy, besides its own.
+            movers: Number of additional movers that wander in the task of a policy.
 
         Raises:
-            CtrlRlError: There is no such policy, task or robot, or the policy is for another kind of robot.
+            CtrlRlError: The policy, task or robot does not exist, or the policy is for another kind of robot.
         """
         self._cell = cell
         self._options = SimulationOptions(engine=engine, rate=RATES.get(engine, RATE), motor_lag=MOTOR_LAG)
@@ -184,11 +187,11 @@ class Player:
 
     @property
     def terms(self) -> list[str]:
-        """What its episodes depend on, as text: another robot or task makes them others."""
+        """Text that identifies everything the episodes depend on, such as robot and task."""
         return [repr(self._model), "" if self._task is None else task_digest(self._task)]
 
     def play(self, seed: int) -> TrialOutcome:
-        """Return the end of the episode of a seed; of adversaries only every twentieth has the recoverable set."""
+        """Run the episode of a seed; with adversaries, only every twentieth uses the recoverable set."""
         cell, model, policy = self._cell, self._model, self._policy
         task = self._task or room(cell.place, model.name, model, seed)
         if cell.guard == "alone":
@@ -224,7 +227,7 @@ class Player:
 
 
 def model_of(task: NavigationTask) -> RobotModel:
-    """Return the constants by which the base of a task's robot moves."""
+    """Return the constants that govern the base of a task's robot."""
     return CAR if task.robot.body == "turtlebot2" else find_model(task.robot.body)
 
 
@@ -242,18 +245,18 @@ def filter_of(
 
 
 def period_of(policy: Policy, task: NavigationTask) -> float:
-    """Return the time between two decisions of a policy, a whole number of ticks [s]: its own, or a turn's."""
+    """Return a policy's decision period, a whole number of ticks [s]: its own, or the scan period."""
     period = 1.0 / task.lidar.rate if policy.period is None else policy.period
     return round(period / TICK) * TICK
 
 
 def goal_for(policy: Policy, task: NavigationTask) -> Array | None:
-    """Return the middle of a task's goal (3,), where a policy asks for it."""
+    """Return the centre of a task's goal (3,), if the policy needs it."""
     return goal_of(task) if "goal" in policy.needs else None
 
 
 def _fastest(mover: object) -> float:
-    """Return the largest speed of a mover of a task [m/s]."""
+    """Return the maximum speed of a task's movers [m/s]."""
     way = getattr(mover, "track", None) or getattr(mover, "wander", None)
     if way is None:
         raise SafetyError("a mover by key frames has no bound on its speed: give a task without one")

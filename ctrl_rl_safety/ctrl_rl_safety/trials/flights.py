@@ -1,4 +1,4 @@
-"""Episodes of a planar quadrotor, by an adversary or a policy, with and without its guard."""
+"""Episodes of a planar quadrotor, driven by an adversary or a policy, with and without its guard."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ Array = NDArray[np.float64]
 
 ADVERSARIES = ("full_speed", "random")
 GUARDS = ("none", "filter", "mismatch")
-"""With `mismatch` the guard takes the quadrotor for 3 % lighter than it is, and is told by how much it then may err."""
+"""Guards of flights. With `mismatch`, the guard assumes a 3 % lighter quadrotor, and the resulting error bound."""
 _LIGHTER = 0.97
 _RATE = 240
 
 
 class GuardFilter:
-    """The guard of planar quadrotors as a filter at the robot."""
+    """The guard of planar quadrotors as a robot's filter."""
 
     looks = False
 
@@ -52,22 +52,23 @@ class GuardFilter:
 
 
 class FlightPlayer:
-    """Plays the episodes of a cell whose task flies.
+    """Runs the episodes of a condition with a flight task.
 
-    A policy flies to a goal at which the episode ends: its guard is told so, and lets it arrive as fast as it likes.
-    Behind an adversary the guard keeps the quadrotor safe for ever.
+    A policy flies to a goal at which the episode ends; the guard knows the goal, and does not limit the speed of
+    arrival. With an adversary, the guard keeps the quadrotor safe indefinitely.
     """
 
     def __init__(self, cell: Cell, engine: str, task: NavigationTask) -> None:
-        """Load what all episodes need.
+        """Load the data shared by all episodes.
 
         Args:
-            cell: Who commands, and with which guard.
+            cell: Trial condition.
             engine: Physics engine, one of `sim_bridge.ENGINES`.
-            task: Task of the cell.
+            task: Task of the condition.
 
         Raises:
-            CtrlRlError: There is no such policy, it is for another kind of robot, or there is no such guard of flights.
+            CtrlRlError: The policy does not exist or is for another kind of robot, or the guard does not exist for
+                flights.
         """
         if cell.guard not in GUARDS:
             raise SafetyError(f"guard '{cell.guard}' is for robots on wheels: flights have {', '.join(GUARDS)}")
@@ -81,11 +82,11 @@ class FlightPlayer:
 
     @property
     def terms(self) -> list[str]:
-        """What its episodes depend on, as text."""
+        """Text that identifies everything the episodes depend on."""
         return [repr(self._model), repr(FlightOptions()), task_digest(self._task)]
 
     def play(self, seed: int) -> TrialOutcome:
-        """Return the end of the episode of a seed."""
+        """Run the episode of a seed and return its outcome."""
         world = SimulatedWorld(self._task, seed, options=self._options)
         tick, policy, task = FlightOptions().tick, self._policy, self._task
         try:

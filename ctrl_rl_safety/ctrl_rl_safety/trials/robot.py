@@ -1,7 +1,6 @@
-"""A simulated robot whose base carries out commands as a `RobotModel` does, with or without a filter before it.
+"""A simulated robot whose base follows a `RobotModel`, with or without a filter.
 
-The model of the base and that of the filter may differ: this is how a trial drives with less braking than the filter
-assumes.
+The models of base and filter may differ, e.g. to give the base less braking than the filter assumes.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from sim_bridge import RobotSenses, SimulatedWorld
 Array = NDArray[np.float64]
 
 TICK = 0.05
-"""Time between two answers of the filter [s]."""
+"""Period of the filter [s]."""
 MOTOR_LAG = 1e-3
-"""Lag of the simulated wheels [s]: the base's own model has the lag."""
+"""Lag of the simulated wheels [s], small because the model of the base already has a lag."""
 _STOOD = 2.0 * STANDS
-"""Speed below which a robot that is touched counts as standing [m/s]: the model's 0.01 m/s, and as much for the time
-between two looks."""
+"""Speed below which a touched robot counts as stationary [m/s]: the model's 0.01 m/s, plus the same for the time
+between two checks."""
 
 
 class Base:
-    """Delays commands, and ramps the speeds that the wheels are told."""
+    """Delays commands, and ramps the speeds sent to the wheels."""
 
     def __init__(self, model: RobotModel, step: float) -> None:
         self._motion, self._delay = motion_of(model, step), model.delay
@@ -40,11 +39,11 @@ class Base:
         self._wanted, self._speeds = (0.0, 0.0), (0.0, 0.0)
 
     def send(self, time: float, command: Array) -> None:
-        """Take a command (2,) at a time [s]."""
+        """Accept a command (2,) at a time [s]."""
         self._waiting.append((time + self._delay, float(command[0]), float(command[1])))
 
     def advance(self, time: float) -> tuple[float, float]:
-        """Return the speeds to tell the wheels for the step that begins at a time [m/s, rad/s]."""
+        """Return the wheel speeds for the step that starts at a time [m/s, rad/s]."""
         while self._waiting and self._waiting[0][0] <= time + 1e-9:
             self._wanted = self._waiting.popleft()[1:]
         self._speeds = next_speeds(*self._speeds, *self._wanted, self._motion)
@@ -52,11 +51,11 @@ class Base:
 
 
 class RobotFilter(Filter[Sensors], Protocol):
-    """A filter at the robot, which answers at each tick.
+    """A filter at the robot, called in each tick.
 
     Attributes:
-        looks: Whether it wants each turn of the lidar.
-        changed: Whether its last answer was another command.
+        looks: Whether the filter needs every scan of the lidar.
+        changed: Whether the last answer differed from the raw command.
     """
 
     looks: bool
@@ -64,13 +63,13 @@ class RobotFilter(Filter[Sensors], Protocol):
 
 
 class TrialRobot:
-    """The robot of a world behind its filter, in Gymnasium's form: one step holds a raw command for a whole period.
+    """The robot of a world behind its filter, with Gymnasium's interface; a step holds a raw command for a period.
 
     Attributes:
-        world: World that it drives in.
+        world: World of the robot.
         ticks: Number of commands so far.
-        changed: Number of them that the filter changed.
-        distance: Way driven [m].
+        changed: Number of commands changed by the filter.
+        distance: Distance driven [m].
     """
 
     def __init__(
@@ -84,16 +83,16 @@ class TrialRobot:
         goal: Array | None = None,
         blind: bool = False,
     ) -> None:
-        """Take the robot of a world.
+        """Set up the robot of a world.
 
         Args:
-            world: World with one robot, whose `motor_lag` is `MOTOR_LAG` where the base has constants.
-            base: Constants by which its base moves; None for the motors and the delay of the world.
-            make_filter: Makes the filter of an episode; None for no filter.
-            period: Time for which a step holds its command, a whole number of ticks [s]; one tick unless given.
-            tick: Time between two answers of the filter [s].
-            goal: Goal x, y, theta of its driver (3,); None for none.
-            blind: Whether its driver looks at no scan, so that none is taken for it.
+            world: World with one robot; its `motor_lag` must be `MOTOR_LAG` if `base` is given.
+            base: Constants of the base; None for the world's own motors and delay.
+            make_filter: Creates the filter of an episode; None for no filter.
+            period: Duration of a step, a whole number of ticks [s]; one tick by default.
+            tick: Period of the filter [s].
+            goal: Goal x, y, theta of the driver (3,), or None.
+            blind: Whether the driver uses no scans, so that none are taken for it.
         """
         self.world, self._model, self._make_filter = world, base, make_filter
         self._tick, self._period, self._goal, self._looks = tick, tick if period is None else period, goal, not blind
@@ -104,7 +103,7 @@ class TrialRobot:
         self._begin()
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:
-        """Begin the episode of a seed, unless the world stands at its start."""
+        """Start the episode of a seed, unless the world is already at its start."""
         begin_episode(self.world, seed)
         self._begin()
         return self._shown(self.world.rest, self._looks), self._info()
@@ -121,10 +120,10 @@ class TrialRobot:
 
         Args:
             raw: Speed [m/s] and turn rate [rad/s], or thrusts [N].
-            seconds: Time, a whole number of ticks [s].
+            seconds: Duration, a whole number of ticks [s].
 
         Returns:
-            The mean of the commands that were sent (2,).
+            The mean of the commands sent (2,).
         """
         sent = []
         for _ in range(max(1, round(seconds / self._tick))):
@@ -151,16 +150,16 @@ class TrialRobot:
 
     @property
     def avoidable(self) -> bool:
-        """Whether it ended by a contact that the robot could have avoided; a quadrotor avoids each, and a tilt.
+        """Whether the episode ended in an avoidable contact; for a quadrotor, every contact and tilt is avoidable.
 
-        A contact is avoidable unless a mover ran into a robot that stood, or overran the place where it stood last:
-        a robot that then flees in vain would have been met there too.
+        A contact is avoidable unless a mover ran into the stationary robot, or passed over the place where it last
+        stood, where it would have been hit without fleeing as well.
         """
         return self._touched is True or (self._flies and self.world.episode().outcome is Outcome.COLLISION)
 
     @property
     def run_into(self) -> bool:
-        """Whether it ended by a contact that the robot could not avoid."""
+        """Whether the episode ended in a contact that the robot could not avoid."""
         return self._touched is False
 
     def _begin(self) -> None:
@@ -183,7 +182,7 @@ class TrialRobot:
         }
 
     def _advance(self) -> None:
-        """Let a tick pass, or less where the robot touches something."""
+        """Advance by one tick, or less if the robot touches something."""
         world = self.world
         before = world.pose()[:2]
         for _ in range(self._steps):

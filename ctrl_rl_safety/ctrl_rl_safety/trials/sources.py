@@ -1,4 +1,4 @@
-"""Adversaries: drivers that know nothing of obstacles, and decide at each tick of a trial."""
+"""Adversaries: drivers that ignore obstacles, and decide in each tick of a trial."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HELD_S, _THRUST_HELD_S = (0.3, 2.0), (0.05, 0.5)
 
 
 class Constant:
-    """One command, whatever is there: full speed, or all the thrust."""
+    """One constant command: full speed, or full thrust."""
 
     def __init__(self, command: ArrayLike) -> None:
         self._command = np.array(command, np.float64)
@@ -26,7 +26,7 @@ class Constant:
 
 
 class Random:
-    """Random commands, each for a random time; half of them at full speed."""
+    """Random commands with random durations; half of them at full speed."""
 
     def __init__(self, model: RobotModel, seed: int) -> None:
         self._limits = np.array(model.limits)
@@ -44,7 +44,7 @@ class Random:
 
 
 class RandomThrusts:
-    """Random thrusts, each for a random time; half of them equal, so that it flies as well as tumbles."""
+    """Random thrusts with random durations; half of them equal, so that the quadrotor flies as well as tumbles."""
 
     def __init__(self, model: QuadrotorModel, seed: int, tick: float) -> None:
         self._least, self._most, self._tick = model.least, model.most, tick

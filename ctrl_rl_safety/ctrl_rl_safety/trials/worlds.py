@@ -1,4 +1,4 @@
-"""Random rooms for adversaries, and the tasks of policies with a lidar that a filter can use."""
+"""Random rooms for adversaries, and the tasks of policies with a lidar suitable for the filter."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from ctrl_rl_safety.models.robot_model import RobotModel
 
 PLACES = ("boxes", "movers")
 MOVER_SPEED = 0.4
-"""Largest speed of movers, which the filter is told [m/s]."""
+"""Maximum speed of movers, known to the filter [m/s]."""
 _HALVES = {"boxes": (2.5, 2.0), "movers": (3.0, 2.5)}
 _STARTS = {"boxes": 0.0, "movers": 0.6}
-"""Half the side of the square that the robot starts in: a mover may begin in the middle [m]."""
+"""Half the side length of the square of the robot's starts, since a mover may start in the middle [m]."""
 _BOXES = {"boxes": 9, "movers": 6}
 _MOVERS = {"boxes": 0, "movers": 2}
 _LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "5.0 Hz", "noise": "0.01 m"}
 _LONGEST_S = 15.0
 _AROUND = 360
-"""Beams all around of a lidar that the filter can use."""
+"""Number of beams of the filter's 360 degree lidar."""
 _WANDER = {"radius": "0.2 m", "wander": {"points": 12, "speed": f"0.1 .. {MOVER_SPEED} m/s"}}
 _ATTACKED = 1_000_000
-"""Seed of the room in which attackers learn: none of trials."""
+"""Seed of the room in which attackers are trained, not used in trials."""
 
 
 def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
-    """Return a room with random boxes, and with two wanderers where there are movers.
+    """Create a room with random boxes, and two wanderers if the place has movers.
 
     Args:
         place: One of `PLACES`.
-        body: Body of the robot, one of those of task files.
-        model: Constants that bound its commands.
+        body: Body of the robot, as in a task file.
+        model: Constants that bound the commands.
         seed: Seed of the boxes.
     """
     random, half, start = np.random.default_rng((seed, 7)), _HALVES[place], _STARTS[place]
@@ -72,16 +72,16 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
 
 
 def attacked_room(body: str, model: RobotModel) -> NavigationTask:
-    """Return the room with movers in which attackers learn, with a lidar of 24 beams for their policies."""
+    """Create the room with movers for training attackers, with a lidar of 24 beams for their policies."""
     task = room("movers", body, model, _ATTACKED)
     lidar = task.lidar.model_copy(update={"beams": 24, "noise": 0.0})
     return task.model_copy(update={"lidar": lidar})
 
 
 def with_whole_scan(task: NavigationTask, rate: float = 0.0) -> NavigationTask:
-    """Return a task whose lidar looks all around with 360 beams: the filter must see what it is to avoid.
+    """Return a task with a 360 degree lidar of 360 beams, which the filter needs.
 
-    A policy of fewer beams takes them from those at its own bearings.
+    A policy with fewer beams uses those at its own bearings.
 
     Args:
         task: Task of a policy.
@@ -94,7 +94,7 @@ def with_whole_scan(task: NavigationTask, rate: float = 0.0) -> NavigationTask:
 
 
 def with_movers(task: NavigationTask, count: int) -> NavigationTask:
-    """Return a task with so many more movers that wander in its arena."""
+    """Return a task with this many additional movers that wander in its arena."""
     if not count:
         return task
     return task.model_copy(update={"movers": (*task.movers, *[MoverSpec.model_validate(_WANDER)] * count)})
