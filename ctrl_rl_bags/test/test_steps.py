@@ -36,6 +36,7 @@ def write(
     beams: Callable[[int], int] = lambda _: 12,
     jump_at: int = 10**9,
     per_step: int = 1,
+    twist: float = 0.1,
 ) -> Path:
     """Write a drive: scan k shows k + 1 m and is answered by k cm/s, received `shift` ns after the scan.
 
@@ -49,6 +50,7 @@ def write(
         beams: Number of beams of scan k.
         jump_at: Scan before which the odometry jumps by 0.15 m.
         per_step: Scans until the command changes.
+        twist: Speed that the odometry tells [m/s]; the pose moves by 0.1 m/s.
     """
     make, events = MessageMaker(), []
     stamps = stamps or {}
@@ -59,7 +61,7 @@ def write(
     for k in range(count):
         t = (k + 1) * STEP
         at = np.zeros(13)
-        at[[0, 6, 7]] = 0.01 * k + 0.15 * (k >= jump_at), 1.0, 0.1
+        at[[0, 6, 7]] = 0.01 * k + 0.15 * (k >= jump_at), 1.0, twist
         layout = SCAN.model_copy(update={"beams": beams(k), "angle_increment": 4.2 / beams(k)})
         events.append((t - 10**6, "/odom", make.odometry(stamp("/odom", t), at)))
         events.append((t, "/scan", make.scan(stamp("/scan", t), np.full(beams(k), 1.0 + 0.1 * k, np.float32), layout)))
@@ -172,6 +174,26 @@ def test_a_jump_of_the_odometry_parts_the_drive(tmp_path: Path) -> None:
     assert "the odometry jumps at 1 times" in found.notes[0]
     with pytest.warns(UserWarning, match="/odom jumps"):
         assert [len(part) for part in align(tmp_path / "bag", ["/odom"], "/odom")] == [20, 20]
+
+
+@pytest.mark.parametrize("twist", [0.0, 1e-12])
+def test_a_twist_of_zero_is_filled_by_the_motion_of_the_pose(twist: float, tmp_path: Path) -> None:
+    """A TurtleBot3 tells such a twist while it drives."""
+    bag = write(tmp_path / "bag", twist=twist, jump_at=20)
+    episodes, found = read(bag)
+    told = f"{bag}: /odom: its twist is always zero: speeds are those of the pose's motion"
+    assert found.notes[0] == told
+    speeds = np.concatenate([each["observation.odometry"][:, 7] for each in episodes])
+    np.testing.assert_allclose(speeds, 0.1, atol=1e-6)
+    with pytest.warns(UserWarning, match="its twist is always zero"):
+        parts = align(bag, ["/odom"], "/odom")
+    np.testing.assert_allclose(np.concatenate([part.values["/odom"][:, 3] for part in parts]), 0.1, atol=1e-6)
+
+
+@pytest.mark.fault
+def test_a_twist_that_contradicts_the_pose_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"odometry moves by .* in its pose, of which its speeds explain -"):
+        read(write(tmp_path / "bag", twist=-0.1))
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,7 +1,7 @@
-"""Puts the topics of a bag on one clock, and splits them where it is reset.
+"""Converts the topics of a bag to one clock, and splits them at clock resets.
 
-A message has two times: the stamp in its header, and the log time at which the recorder received it. Stamps tell when
-something was measured; log times show whether the stamps of all topics come from one clock.
+A message has two times: the stamp in its header, and the log time at which the recorder received it. Stamps are
+measurement times; log times show whether the stamps of all topics come from one clock.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from ctrl_rl_core import CtrlRlError
 Clock = Literal["header", "log"]
 Topics = Sequence[str] | Mapping[str, Extractor]
 Tell = Callable[[str], object]
-"""Called with a line about what was left out of a bag."""
+"""Called with a line about each omission from a bag."""
 
 _RESET_NS = 500_000_000
-"""A fall of a topic's stamps by more than this is a reset of the clock.
+"""Decrease of a topic's stamps above which the clock was reset.
 
-Several publishers of a topic may stamp with the time of their own inputs: such stamps fall by less."""
+Several publishers of a topic may use the stamps of their own inputs; such stamps decrease by less.
+"""
 _RESET_APART_NS = 2_000_000_000
-"""Time of reception within which topics show the same reset."""
+"""Maximum difference in reception time between topics that show the same reset."""
 _LATE_S = 0.5
-"""Stamps of two topics that differ by more at the same log time come from two clocks: no message takes so long [s]."""
+"""Difference between two topics' stamps at the same log time above which their clocks differ [s]."""
 _OTHERS = 0.1
-"""Share of a topic's messages that must differ by so much."""
+"""Fraction of a topic's messages that must differ by this much."""
 _FEWEST = 3
 _BEGUN_NS = 10_000_000_000
-"""If other times are above this, a time of 0 means that the sender had no clock yet."""
+"""Time above which other times must be for a time of 0 to mean that the sender had no clock yet."""
 _ADVICE = "--clock log (clock='log') goes by the times of reception"
 
 
 class BagWarning(UserWarning):
-    """Part of a bag is left out or reinterpreted."""
+    """Part of a bag is omitted or reinterpreted."""
 
 
 def warn(line: str) -> None:
@@ -56,22 +57,23 @@ def clock_runs(
     """Return the topics of a bag on one clock, one mapping per run between two resets.
 
     Args:
-        bag: Bag that is open.
+        bag: Open bag.
         topics: Names of topics, or names with their extractors.
-        reference: Topic whose stamps are the clock, if it has any.
-        clock: `header` for the messages' stamps, `log` for the times of reception.
-        tell: Called with lines about messages that are left out.
-        paced: Whether to convert times of reception to the reference's clock, so that a second of a slow simulation is
-            a second.
+        reference: Topic that defines the clock by its stamps, if it has any.
+        clock: `header` for message stamps, `log` for reception times.
+        tell: Called with lines about omitted messages.
+        paced: Whether to convert reception times to the reference's clock, so that slow simulations keep their time
+            scale.
 
     Raises:
-        BagError: The bag is damaged, or the stamps of its topics are of different clocks.
+        BagError: The bag is damaged, or its topics are stamped by different clocks.
     """
     read = _read(bag, topics, tell)
     stamped = {topic: series for topic, series in read.items() if series.stamps is not None and len(series.times)}
     name = reference if reference in stamped else next(iter(stamped), None)
     if name is None or (clock == "log" and not (paced and reference in stamped)):
-        return [{topic: series.at(np.arange(len(series.times)), series.times) for topic, series in read.items()}]
+        plain = {topic: series.at(np.arange(len(series.times)), series.times) for topic, series in read.items()}
+        return [_mended(bag, plain, tell)]
     base = stamped[name]
     assert base.stamps is not None
     cuts = _resets(base.stamps, 0 if paced else _RESET_NS)  # scans of one lidar never fall back
@@ -101,7 +103,16 @@ def clock_runs(
             else:
                 run[topic] = series.at(each, received)
     _check_one_clock(bag, {topic: np.concatenate(parts) for topic, parts in late.items()}, name, base)
-    return runs
+    return [_mended(bag, run, tell) for run in runs]
+
+
+def _mended(bag: Bag, run: Mapping[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
+    """Return a run with what its extractors mend, such as odometry without a twist."""
+
+    def told(topic: str) -> Tell:
+        return lambda line: tell(f"{bag.path}: {printable(topic)}: {line}")
+
+    return {topic: series.mended(told(topic)) for topic, series in run.items()}
 
 
 def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
@@ -143,12 +154,13 @@ def _read(bag: Bag, topics: Topics, tell: Tell) -> dict[str, TimeSeries]:
             extractor.angles,
             np.array(stamps[topic], dtype=np.int64) if stamps[topic] else None,
             extractor.jumps,
+            mend=extractor.mend,
         )
     return _timed(bag, out, tell)
 
 
 def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
-    """Leave out messages that were received or stamped before their clock had started."""
+    """Drop messages that were received or stamped before their clock had started."""
     received = np.concatenate([series.times for series in read.values()] or [np.empty(0, np.int64)])
     begun = (received > 0).any() and received[received > 0].min() > _BEGUN_NS
     out = {}
@@ -173,12 +185,12 @@ def _timed(bag: Bag, read: dict[str, TimeSeries], tell: Tell) -> dict[str, TimeS
 
 
 def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: str, base: TimeSeries) -> None:
-    """Refuse a bag whose topics are stamped by different clocks; name the one that is off.
+    """Raise if the topics of a bag are stamped by different clocks; name the deviating topic.
 
     Args:
         bag: Bag of the topics.
-        late: By how much each topic's stamps exceed the reference's at the time of reception [s].
-        name: Topic that the others are compared with.
+        late: Difference between each topic's stamps and the reference's at the same reception time [s].
+        name: Topic with which the others are compared.
         base: Messages of that topic.
 
     Raises:
@@ -212,7 +224,7 @@ def _resets(stamps: NDArray[np.int64], fall: int = _RESET_NS) -> NDArray[np.intp
 
 
 def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """Match another topic's clock resets, by log time, to rows of this series; None if it has different ones."""
+    """Match another topic's clock resets by log time to rows of this series; None if the resets differ."""
     rows = np.searchsorted(series.times, resets)
     own = _resets(series.stamps) if series.stamps is not None else np.empty(0, np.intp)
     if not len(own):
@@ -227,7 +239,7 @@ def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _pace(known: TimeSeries) -> float:
-    """Return the speed of a stamped series' clock, in its seconds per second of reception."""
+    """Return the speed of a stamped series' clock relative to reception time."""
     assert known.stamps is not None
     if len(known.times) < 2 or known.times[-1] <= known.times[0]:
         return 1.0

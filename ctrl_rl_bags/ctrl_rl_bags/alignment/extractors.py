@@ -1,4 +1,4 @@
-"""Extracts numbers and objects from messages, and finds jumps of the odometry."""
+"""Extracts numbers and objects from messages, and finds odometry jumps."""
 
 from __future__ import annotations
 
@@ -7,32 +7,35 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from ctrl_rl_core.sensing import lacks_twist, speeds_from_poses
 from numpy.typing import NDArray
 
+from ctrl_rl_bags.alignment.resampling import Mend
 from ctrl_rl_core import OdometryReader, Scan, read_odometry, read_scan
 
 Array = NDArray[np.float64]
+_Jumps = Callable[[NDArray[np.int64], Array], NDArray[np.intp]]
 
 _NEIGHBOURS = 4
 _NOISE_M, _NOISE_RAD = 0.03, 0.1
-"""Steps that any odometry may deviate from the motion around it [m], [rad]."""
+"""Deviations of any odometry step from the surrounding motion that count as noise [m], [rad]."""
 _QUICKER = 1.5
 """Maximum ratio of speeds between two messages, apart from noise."""
 _DRAWS = 3
-"""Number of neighbours that may be jumps themselves."""
+"""Number of neighbouring steps that may be jumps themselves."""
 
 
 def odometry_jumps(times: NDArray[np.int64], positions: Array, yaws: Array, speeds: Array) -> NDArray[np.intp]:
-    """Return the rows before which the pose jumps.
+    """Return the rows preceded by a jump of the pose.
 
-    A step is a jump if neither the odometry's own speeds nor the steps around it explain its length. The latter help
-    where a TurtleBot3 reports speed 0 while it drives.
+    A step is a jump if neither the odometry's own speeds nor the surrounding steps explain its length. The latter are
+    needed if a TurtleBot3 reports speed 0 while it drives.
 
     Args:
         times: Times of the messages (n,) [ns].
         positions: Coordinates (n, 2) or (n, 3) [m].
         yaws: Headings (n,) [rad].
-        speeds: Speed and turn rate that the odometry tells (n, 2) [m/s, rad/s].
+        speeds: Speed and turn rate from odometry (n, 2) [m/s, rad/s].
     """
     if len(times) < 2:
         return np.empty(0, np.intp)
@@ -49,7 +52,7 @@ def odometry_jumps(times: NDArray[np.int64], positions: Array, yaws: Array, spee
 
 
 def _usual(rates: Array) -> Array:
-    """Return for each step the rate that all but a few steps around it stay below."""
+    """Return, for each step, an upper bound of the rate at all but a few surrounding steps."""
     padded = np.concatenate((np.full(_NEIGHBOURS, np.nan), rates, np.full(_NEIGHBOURS, np.nan)))
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1).copy()
     near[:, _NEIGHBOURS] = np.nan
@@ -64,23 +67,25 @@ _STATE = OdometryReader(("x", "y", "theta", "v", "omega"))
 
 @dataclass(frozen=True)
 class Extractor:
-    """Turns a message into a row of numbers, or into one object.
+    """Converts a message to a row of numbers, or to one object.
 
     Attributes:
-        read: Function from a message to a row of numbers, or to any object where `columns` is empty; it raises
-            CtrlRlError for a message that must not be used.
+        read: Function from a message to a row of numbers, or to any object if `columns` is empty; raises CtrlRlError
+            for an unusable message.
         columns: Names of the numbers.
-        angles: Indices of the columns that are angles [rad] and wrap at pi.
-        jumps: Function of times (n,) [ns] and rows (n, columns) that returns the rows before which the robot was moved
-            rather than drove; no sequence reaches across. None where nothing can jump.
-        stamped: Whether a message's time is its stamp, if it has one, rather than its reception.
+        angles: Indices of angular columns [rad], which wrap at pi.
+        jumps: Function of times (n,) [ns] and rows (n, columns) that returns the rows preceded by a jump, where
+            sequences are split. None if no jumps are possible.
+        stamped: Whether to use a message's stamp, if it has one, rather than its reception time.
+        mend: Repairs the rows between two clock resets, e.g. odometry without a twist; None if no repair is known.
     """
 
     read: Callable[[Any], Any]
     columns: tuple[str, ...] = ()
     angles: tuple[int, ...] = ()
-    jumps: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.intp]] | None = None
+    jumps: _Jumps | None = None
     stamped: bool = True
+    mend: Mend | None = None
 
     def array(self, rows: list[Any]) -> NDArray[Any]:
         """Return rows as an array (n, columns) of float64, or (n,) of objects."""
@@ -101,8 +106,34 @@ def _odometry(message: Any) -> tuple[float, ...]:
     return tuple(_STATE(read_odometry(message)).tolist())
 
 
+def fill_twist(poses: Callable[[Array], Array], first: int, places: Mapping[int, int], jumps: _Jumps) -> Mend:
+    """Return a repair function that fills an all-zero twist from the motion of the pose.
+
+    Args:
+        poses: Function from rows (n, columns) to x, y, yaw (n, 3) [m, m, rad].
+        first: First column of the twist, which occupies the rest of a row.
+        places: Quantity to fill in, by column: 0 forward speed, 1 speed to the left, 2 turn rate.
+        jumps: As in `Extractor`.
+    """
+
+    def mend(times: NDArray[np.int64], rows: Array, tell: Callable[[str], object]) -> Array | None:
+        cuts, at = jumps(times, rows), poses(rows)
+        if not lacks_twist(times, at, rows[:, first:], cuts):
+            return None
+        tell("its twist is always zero: speeds are those of the pose's motion")
+        out = rows.copy()
+        out[:, list(places)] = speeds_from_poses(times, at, cuts)[:, list(places.values())]
+        return out
+
+    return mend
+
+
 def _twist(message: Any) -> tuple[float, float]:
     return message.linear.x, message.angular.z
+
+
+def _jumps(times: NDArray[np.int64], rows: Array) -> NDArray[np.intp]:
+    return odometry_jumps(times, rows[:, :2], rows[:, 2], rows[:, 3:])
 
 
 LASER_SCAN = Extractor(_scan)
@@ -110,7 +141,8 @@ ODOMETRY = Extractor(
     _odometry,
     ("x", "y", "yaw", "v", "omega"),
     angles=(2,),
-    jumps=lambda times, rows: odometry_jumps(times, rows[:, :2], rows[:, 2], rows[:, 3:]),
+    jumps=_jumps,
+    mend=fill_twist(lambda rows: rows[:, :3], 3, {3: 0, 4: 2}, _jumps),
 )
 TWIST = Extractor(_twist, ("v", "omega"))
 TWIST_STAMPED = Extractor(lambda message: _twist(message.twist), ("v", "omega"))
@@ -120,4 +152,4 @@ EXTRACTORS: Mapping[str, Extractor] = {
     "geometry_msgs/msg/Twist": TWIST,
     "geometry_msgs/msg/TwistStamped": TWIST_STAMPED,
 }
-"""Default extractor of each message type; x, y [m], yaw [rad], v [m/s], omega [rad/s] as in REP-103."""
+"""Default extractor per message type; x, y [m], yaw [rad], v [m/s], omega [rad/s] as in REP-103."""

@@ -1,9 +1,9 @@
-"""Samples of one topic over time, their values at other times, and what acted during steps."""
+"""Time series of one topic, resampling, and commands acting during steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,19 +12,22 @@ from numpy.typing import NDArray
 from ctrl_rl_bags.format.checks import BagError
 
 Method = Literal["previous", "nearest", "linear"]
+Mend = Callable[[NDArray[np.int64], NDArray[Any], Callable[[str], object]], NDArray[Any] | None]
+"""Takes times (n,) [ns], rows (n, columns) and a reporting function; returns repaired rows and reports why, or None."""
 
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """Samples of one topic of one bag, in the order of its log time.
+    """Samples of one topic of one bag, in log-time order.
 
     Attributes:
         times: Times (n,) [ns].
         values: Numbers (n, columns), or objects (n,).
-        angles: Indices of the columns that are angles and wrap at pi.
-        stamps: Times in the messages' headers (n,) [ns]; None without headers.
+        angles: Indices of angular columns, which wrap at pi.
+        stamps: Header stamps (n,) [ns]; None without headers.
         jumps: As in `Extractor`.
         log: Log times (n,) [ns], if `times` are different.
+        mend: As in `Extractor`.
     """
 
     times: NDArray[np.int64]
@@ -33,22 +36,27 @@ class TimeSeries:
     stamps: NDArray[np.int64] | None = None
     jumps: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.intp]] | None = None
     log: NDArray[np.int64] | None = None
+    mend: Mend | None = None
 
     def some(self, rows: NDArray[np.intp]) -> TimeSeries:
         """Select rows, in the order given."""
         stamps = None if self.stamps is None else self.stamps[rows]
-        return TimeSeries(self.times[rows], self.values[rows], self.angles, stamps, self.jumps)
+        return replace(self, times=self.times[rows], values=self.values[rows], stamps=stamps, log=None)
 
     def at(self, rows: NDArray[np.intp], times: NDArray[np.int64]) -> TimeSeries:
-        """Select rows and give them other times, in whose order they are sorted."""
+        """Select rows, assign other times to them, and sort by these times."""
         order = np.argsort(times, kind="stable")
         stamps = None if self.stamps is None else self.stamps[rows][order]
-        return TimeSeries(
-            times[order], self.values[rows][order], self.angles, stamps, self.jumps, self.times[rows][order]
-        )
+        log = self.times[rows][order]
+        return replace(self, times=times[order], values=self.values[rows][order], stamps=stamps, log=log)
+
+    def mended(self, tell: Callable[[str], object]) -> TimeSeries:
+        """Return the series repaired by `Extractor.mend`, and report the repair."""
+        values = None if self.mend is None else self.mend(self.times, self.values, tell)
+        return self if values is None else replace(self, values=values)
 
     def across(self, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return whether a jump lies between each beginning and end (m,) [ns]."""
+        """Return whether a jump lies between each begin and end (m,) [ns]."""
         if self.jumps is None:
             return np.zeros(len(begins), dtype=np.bool_)
         after = self.jumps(self.times, self.values)
@@ -60,12 +68,12 @@ class TimeSeries:
 def resample(
     series: TimeSeries, times: NDArray[np.int64], method: Method = "previous"
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Sample a series at other times; return values (m, columns) and their ages (m,) [s].
+    """Sample a series at other times; return values (m, columns) and sample ages (m,) [s].
 
     Args:
-        series: Samples whose times rise.
-        times: Times to sample at (m,) [ns].
-        method: `previous` sample held, `nearest` sample, or `linear` interpolation.
+        series: Samples with increasing times.
+        times: Sample times (m,) [ns].
+        method: `previous` (hold the last sample), `nearest`, or `linear` interpolation.
 
     Raises:
         BagError: The method is `linear` but the values are not numbers.
@@ -119,24 +127,24 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 LONGEST_NS = 1_000_000_000
-"""A longer step between two scans is a gap; commands and odometry older than this do not count [ns]."""
+"""Step between two scans that counts as a gap, and maximum age of commands and odometry [ns]."""
 _HALF = 0.5
 _LIKE = 0.25
-"""Relative deviation that a step may have from the requested period."""
+"""Allowed relative deviation of a step from the requested period."""
 
 
 def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Array:
-    """Return the command that acted during each step (n, columns); NaN where none did for half of it.
+    """Return the command acting during each step (n, columns); NaN if none acts for half of the step.
 
-    A command acts from its time until the next one, for a second at most: then the base stops by itself. A step gets
-    the command that acted for more than half of it, so that a millisecond between scan and command changes nothing;
-    where no command did, the step gets the mean of those that acted.
+    A command acts from its time until the next one, for at most a second, after which the base stops on its own. A step
+    gets the command that acts for more than half of it, so that a millisecond between scan and command is irrelevant;
+    if there is none, the step gets the mean of the acting commands.
 
     Args:
-        commands: Commands by the time from which they act.
-        begins: Beginnings of the steps (n,) [ns].
-        ends: Their ends (n,) [ns].
-        since: Time before which commands do not count, such as the world's last reset (n,) [ns].
+        commands: Commands at the times from which they act.
+        begins: Start times of the steps (n,) [ns].
+        ends: End times of the steps (n,) [ns].
+        since: Time before which commands are ignored, such as the last world reset (n,) [ns].
     """
     count = len(commands.times)
     out = np.full((len(begins), *commands.values.shape[1:]), np.nan)
@@ -158,13 +166,13 @@ def acting(commands: TimeSeries, begins: Times, ends: Times, since: Times) -> Ar
 
 
 def spaced(times: Times, starts: NDArray[np.bool_], period: float) -> NDArray[np.intp]:
-    """Pick the rows nearest to times one period apart, counted anew from each start.
+    """Select the rows nearest to a regular grid of times that restarts at each sequence.
 
-    The last row before a start is kept too, so that the end of a sequence is not lost.
+    The last row of a sequence is always kept.
 
     Args:
-        times: Times of the rows (n,) [ns], rising between two starts.
-        starts: Whether a row begins a sequence (n,); the first does.
+        times: Times of the rows (n,) [ns], increasing within a sequence.
+        starts: Whether a row starts a sequence (n,); the first one does.
         period: Time between two rows [s].
     """
     kept: list[NDArray[np.intp]] = []
@@ -184,9 +192,9 @@ def even(steps: Array, period: float) -> NDArray[np.bool_]:
 
 
 def odometry_at(series: TimeSeries, times: Times) -> Array:
-    """Return odometry (n, 13) at other times, interpolated between messages.
+    """Return odometry (n, 13) interpolated at other times.
 
-    The last message holds for a second; NaN where there is none.
+    The last message is held for a second; NaN without odometry.
     """
     known = series.times
     out = np.full((len(times), series.values.shape[1]), np.nan)
@@ -207,5 +215,5 @@ def odometry_at(series: TimeSeries, times: Times) -> Array:
 
 
 def latest(series: TimeSeries, times: Times) -> NDArray[np.intp]:
-    """Return the index of the last sample at or before each time (n,); -1 where there is none."""
+    """Return the index of the last sample at or before each time (n,); -1 if there is none."""
     return np.searchsorted(series.times, times, side="right") - 1

@@ -1,4 +1,4 @@
-"""Streams frames from bags: a bag of any length needs memory for a thousand frames and one row per scan."""
+"""Streams frames from bags; a bag of any length needs memory for a thousand frames and one row per scan."""
 
 from __future__ import annotations
 
@@ -21,38 +21,40 @@ from ctrl_rl_bags.format.reader import Bag, open_bag
 from ctrl_rl_core import ScanError
 
 _PERIODS = 200
-"""Number of scans from which a dataset's period is measured."""
+"""Number of scans used to measure a dataset's period."""
 _MOST_NOTES = 100
 _TOLD = 1000
-"""Number of scans between two reports of progress."""
+"""Number of scans between two progress reports."""
 
 
 @dataclass
 class Found:
-    """What an extraction found, for the report.
+    """Findings of an extraction, for the report.
 
     Attributes:
-        missing: Topics that the bags lack, and what the frames lack for it.
-        left_out: Scans that are in no frame.
-        notes: Lines about messages left out and drives cut.
-        delays: Median time from a scan to the command that follows it, of each bag [s].
-        bytes: Size of the messages read.
+        missing: Topics missing in the bags, and the resulting gaps in the frames.
+        left_out: Number of scans in no frame.
+        notes: Lines about omitted messages and split drives.
+        delays: Median time from a scan to the next command, per bag [s].
+        periods: Median time between scans, per bag [s].
+        bytes: Total size of the messages read [bytes].
     """
 
     missing: set[str] = field(default_factory=set)
     left_out: int = 0
     notes: list[str] = field(default_factory=list)
     delays: list[float] = field(default_factory=list)
+    periods: list[float] = field(default_factory=list)
     bytes: int = 0
 
     def note(self, line: str) -> None:
-        """Add a line, unless it is there or there are too many."""
+        """Add a line, unless it is a duplicate or there are too many."""
         if len(self.notes) < _MOST_NOTES and line not in self.notes:
             self.notes.append(line)
 
     @property
     def why_nothing(self) -> str:
-        """Why the bags hold no drive, for the end of an error."""
+        """Return why the bags contain no drive, for the end of an error message."""
         told = f" ({self.notes[0]})" if self.notes else ""
         return f"no two scans with odometry and a command between: was the robot driven?{told}"
 
@@ -112,16 +114,16 @@ def extract(
 ) -> Iterator[Frames]:
     """Yield the frames of bags, a piece of an episode at a time.
 
-    A frame is a scan with the odometry, goal and picture of its time. Its action is the command that acted until the
-    next frame, whose reward and outcome are `next.reward` and `next.outcome`. Times are message stamps, or times of
-    reception where there are none (`ctrl_rl_bags.alignment`). An episode ends with an outcome or a new episode number,
-    when the odometry jumps or the clock is set back, and when scans, odometry or commands pause for a second.
+    A frame is a scan with the odometry, goal and image at its time. Its action is the command acting until the next
+    frame, whose reward and outcome are `next.reward` and `next.outcome`. Times are message stamps, or reception times
+    without stamps (`ctrl_rl_bags.alignment`). An episode ends at an outcome or a new episode number, at an odometry
+    jump or clock reset, and when scans, odometry or commands pause for a second.
 
     Args:
-        bags: Bags in the order of the episodes.
+        bags: Bags in episode order.
         layout: Layout of the dataset, from `find_layout`.
-        options: Names of the topics, beams of the scans, clock, and length of the steps.
-        found: Receives what was missing.
+        options: Topic names, beams of the scans, clock, and step length.
+        found: Receives the findings.
         tell: Called with the number of messages read since the last call.
 
     Raises:
@@ -165,6 +167,7 @@ class _Extraction:
         self._tell(sum(bag.info.topics[topic].message_count for topic in self._wiring.topics.values()) - read.scans)
         found.left_out += read.left_out
         found.delays.append(read.delay)
+        found.periods.append(read.period)
         if read.beams[0] != read.beams[1]:
             found.note(
                 f"{bag.path}: its scans have {read.beams[0]} to {read.beams[1]} beams: all are brought to "

@@ -1,4 +1,4 @@
-"""What is known at each scan, apart from the scan: which scans are frames, and what happened between them."""
+"""Timeline of a drive without the scan ranges: which scans are frames, and the events between them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.sensing import ODOMETRY_NAMES
+from ctrl_rl_core.sensing import ODOMETRY_NAMES, OMEGA_Z, V
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.alignment.clocks import Tell, clock_runs
-from ctrl_rl_bags.alignment.extractors import Extractor, odometry_jumps
+from ctrl_rl_bags.alignment.extractors import Extractor, fill_twist, odometry_jumps
 from ctrl_rl_bags.alignment.resampling import LONGEST_NS, TimeSeries, acting, even, latest, odometry_at, spaced
 from ctrl_rl_bags.datasets.frames import GOAL_NAMES, states_of
 from ctrl_rl_bags.datasets.options import ExtractionOptions, Wiring
@@ -25,10 +25,10 @@ Times = NDArray[np.int64]
 
 _ALWAYS = np.iinfo(np.int64).min
 _SLOWER = 1.25
-"""Ratio of scan interval to step above which scans are too rare for the steps."""
+"""Ratio of scan interval to step length above which scans are too rare for the steps."""
 
 _SELDOM_NS = 150_000_000
-"""Interval above which the twist between two odometry messages is unknown [ns]."""
+"""Interval between odometry messages above which the twist in between is unknown [ns]."""
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class Timeline:
     """Frames of a bag in order, each with the command, reward and outcome since the previous frame.
 
     Attributes:
-        begins: Whether the frame begins an episode (n,); its command, reward and outcome mean nothing then.
+        begins: Whether the frame starts an episode (n,); its command, reward and outcome are then undefined.
         times: Times of the scans on the bag's clock (n,) [ns].
-        log: When they were received (n,) [ns].
-        stamps: Their stamps (n,) [ns].
+        log: Reception times of the scans (n,) [ns].
+        stamps: Stamps of the scans (n,) [ns].
         odometry: Pose and twist (n, 13).
-        goals: Goals (n, 7), NaN without one.
+        goals: Goals (n, 7); NaN without a goal.
         commands: Commands (n, 2).
-        rewards: Rewards (n,), NaN without one.
+        rewards: Rewards (n,); NaN without a reward.
         outcomes: Outcomes as in ctrl_rl_msgs/TaskOutcome (n,).
-        pictures: Log times of the pictures (n,) [ns]; 0 where there is none.
+        pictures: Log times of the images (n,) [ns]; 0 without an image.
     """
 
     begins: NDArray[np.bool_]
@@ -70,14 +70,15 @@ class Timeline:
 
 @dataclass(frozen=True)
 class Read:
-    """Timelines of a bag, and facts about its scans.
+    """Timelines of a bag, and statistics of its scans.
 
     Attributes:
-        parts: One timeline per run of the bag's clock; runs without frames are left out.
+        parts: One timeline per run of the bag's clock; runs without frames are omitted.
         scans: Number of scans.
-        left_out: Scans in no episode.
+        left_out: Number of scans in no episode.
         beams: Minimum and maximum number of beams.
-        delay: Median time from a scan to the command that follows it [s]; NaN without commands.
+        delay: Median time from a scan to the next command [s]; NaN without commands.
+        period: Median time between scans [s]; NaN without two scans.
     """
 
     parts: list[Timeline]
@@ -85,29 +86,32 @@ class Read:
     left_out: int
     beams: tuple[int, int]
     delay: float
+    period: float
 
 
 def read_timeline(bag: Bag, wiring: Wiring, options: ExtractionOptions, pictures: bool, tell: Tell) -> Read:
-    """Read the frames of a bag, apart from their scans.
+    """Read the frames of a bag, except for their scans.
 
     Args:
-        bag: Bag that is open.
+        bag: Open bag.
         wiring: Topics of the drive.
-        options: Clock, and length of the steps.
-        pictures: Whether a frame needs a picture.
-        tell: Takes lines about what was left out.
+        options: Clock and step length.
+        pictures: Whether a frame requires an image.
+        tell: Called with lines about omissions.
 
     Raises:
-        BagError: The bag is damaged, two clocks differ, or its scans are too rare.
+        BagError: The bag is damaged, two clocks differ, or the scans are too rare.
     """
     wanted = {name: topic for name, topic in wiring.topics.items() if name != "image" or pictures}
     extractors = {topic: _EXTRACTORS[name](wiring) for name, topic in wanted.items()}
     runs = clock_runs(bag, extractors, wiring.topics["scan"], options.clock, tell, paced=True)
-    parts, scans, kept, beams, delays = [], 0, 0, list[Array](), list[Array]()
+    parts, scans, kept = list[Timeline](), 0, 0
+    beams, delays, periods = list[Array](), list[Array](), list[Array]()
     for run in runs:
         series = {name: run[topic] for name, topic in wanted.items()}
         scans += len(series["scan"].times)
         beams.append(series["scan"].values[:, 0])
+        periods.append(1e-9 * np.diff(series["scan"].times))
         part, count = _Run(bag, series, options, tell).timeline()
         kept += count
         if part is not None:
@@ -116,13 +120,14 @@ def read_timeline(bag: Bag, wiring: Wiring, options: ExtractionOptions, pictures
             before = np.searchsorted(at, commands, side="right") - 1
             late = np.asarray(commands - at[np.maximum(before, 0)], dtype=np.float64)[before >= 0]
             delays.append(1e-9 * late)
-    counts, delay = (np.concatenate([np.empty(0), *each]) for each in (beams, delays))
+    counts, delay, period = (np.concatenate([np.empty(0), *each]) for each in (beams, delays, periods))
     return Read(
         parts,
         scans,
         scans - kept,
         (int(counts.min(initial=np.inf)), int(counts.max())) if len(counts) else (0, 0),
         float(np.median(delay)) if len(delay) else np.nan,
+        float(np.median(period)) if len(period) else np.nan,
     )
 
 
@@ -150,7 +155,7 @@ class _Run:
         return (Timeline.joined(parts) if parts else None), count
 
     def _check_twist(self) -> None:
-        """Refuse odometry whose twist contradicts its pose."""
+        """Raise if the twist of odometry contradicts its pose."""
         odometry, health = self._series["odom"], OdometryHealth()
         if len(odometry.times) < 2 or np.median(np.diff(odometry.times)) > _SELDOM_NS:
             return
@@ -159,7 +164,7 @@ class _Run:
                 raise BagError(f"{self._bag.path}: {fault}")
 
     def _episodes(self) -> tuple[NDArray[np.int64], Times]:
-        """Return the number of the episode at each scan, and the time at which it began."""
+        """Return the episode number at each scan, and the start time of that episode."""
         series = self._series.get("episode")
         if series is None or not len(series.times):
             return np.zeros(len(self._times), np.int64), np.full(len(self._times), _ALWAYS)
@@ -185,7 +190,7 @@ class _Run:
         return outcomes, rewards[:, 0]
 
     def _pieces(self) -> list[NDArray[np.intp]]:
-        """Return the scans of each gapless episode; only the last may have an outcome."""
+        """Return the scans of each gapless episode; only the last one may have an outcome."""
         times = self._times
         usable = np.isfinite(self._odometry).all(axis=1)
         usable &= np.append(True, times[1:] > np.maximum.accumulate(times)[:-1])
@@ -207,7 +212,7 @@ class _Run:
         return np.split(np.arange(len(times)), np.flatnonzero(~joined) + 1)
 
     def _spaced(self, piece: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-        """Pick the scans of an episode that are one step apart; cut where there is none."""
+        """Select an episode's scans that are one step apart; split if there is none."""
         period = self._options.period
         usual = float(np.median(np.diff(self._times[piece]))) * 1e-9
         if period is None and not self._options.even:
@@ -265,7 +270,7 @@ class _Run:
 
 
 def _count(flags: NDArray[np.bool_]) -> int:
-    """Count the runs of consecutive raised flags."""
+    """Return the number of runs of consecutive raised flags."""
     return int(flags[0]) + int((np.diff(flags.astype(np.int8)) > 0).sum())
 
 
@@ -280,6 +285,13 @@ def _jumps(times: Times, rows: Array) -> NDArray[np.intp]:
     return odometry_jumps(times, rows[:, :3], states_of(rows)[:, 2].astype(np.float64), speeds)
 
 
+def _poses(rows: Array) -> Array:
+    return np.column_stack((rows[:, :2], states_of(rows)[:, 2]))
+
+
+_FILL_TWIST = fill_twist(_poses, V, {V: 0, V + 1: 1, OMEGA_Z: 2}, _jumps)
+
+
 def _command(kind: str) -> Callable[[Any], Any]:
     def read(message: Any) -> Any:
         command = read_command(message, kind)
@@ -291,11 +303,11 @@ def _command(kind: str) -> Callable[[Any], Any]:
 _PAID = ("number", "outcome")
 _EXTRACTORS: Mapping[str, Callable[[Wiring], Extractor]] = {
     "scan": lambda _: Extractor(_beams, ("beams",)),
-    "odom": lambda _: Extractor(read_odometry, ODOMETRY_NAMES, jumps=_jumps),
+    "odom": lambda _: Extractor(read_odometry, ODOMETRY_NAMES, jumps=_jumps, mend=_FILL_TWIST),
     "command": lambda wiring: Extractor(_command(wiring.command), ("first", "second")),
     "goal_pose": lambda _: Extractor(read_goal, GOAL_NAMES, stamped=False),
     "reward": lambda _: Extractor(lambda message: (message.reward, message.outcome.value), _PAID),
     "episode": lambda _: Extractor(lambda message: (message.episode, message.outcome.value), _PAID),
     "image": lambda _: Extractor(lambda _: (0.0,), ("picture",)),
 }
-"""Extractor of each topic of a drive."""
+"""Extractors of a drive's topics."""

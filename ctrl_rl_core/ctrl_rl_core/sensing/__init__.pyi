@@ -1,5 +1,10 @@
 from .odometry import ODOMETRY_NAMES as ODOMETRY_NAMES
+from .odometry import OMEGA_Z as OMEGA_Z
+from .odometry import V as V
+from .odometry_health import contradiction as contradiction
 from .pose import planar as planar
+from .pose_speeds import lacks_twist as lacks_twist
+from .pose_speeds import speeds_from_poses as speeds_from_poses
 from .scan import DIRECTIONS as DIRECTIONS
 from .scan import MOST_BEAMS as MOST_BEAMS
 from .scan import echoes as echoes
