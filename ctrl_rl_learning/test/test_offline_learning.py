@@ -8,11 +8,12 @@ import pytest
 from ctrl_rl_learning.cli.evaluate_offline import evaluate_offline
 from ctrl_rl_learning.cli.learn_offline import learn_offline
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.data.motion import displacements, fit_dynamics, fit_motion
+from ctrl_rl_learning.offline.data.motion import displacements, fit_motion
 from ctrl_rl_learning.offline.data.transitions import Transitions, load_transitions, sensed_interface
 from ctrl_rl_learning.offline.data.values import StateValues, load_values, solvable
 from ctrl_rl_learning.offline.driving.drivers import NoisyPolicy, ScriptedDriver
 from ctrl_rl_learning.offline.driving.driving import drive
+from ctrl_rl_learning.offline.evaluation.dynamics import fit_dynamics
 from ctrl_rl_learning.offline.evaluation.estimators import (
     PolicyValues,
     actions_of,
@@ -20,7 +21,8 @@ from ctrl_rl_learning.offline.evaluation.estimators import (
     fit_values,
     step_ratios,
 )
-from ctrl_rl_learning.offline.evaluation.roll_outs import LearntWorld, can_model, model_returns, replay_correlation
+from ctrl_rl_learning.offline.evaluation.replay import replay
+from ctrl_rl_learning.offline.evaluation.roll_outs import LearntWorld, can_model, rest_of, roll_out
 from ctrl_rl_learning.offline.learners.learning import improved_actions, learn
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.sb3.environment import DEPLOYED_RATE
@@ -150,13 +152,13 @@ def test_a_model_of_motion_is_refused_where_bags_do_not_show_it(transitions: Tra
 
 def test_a_learnt_world_looks_as_the_bags_do(transitions: Transitions) -> None:
     random = np.random.default_rng(0)
-    world = LearntWorld(TASK, fit_dynamics(transitions), random)
+    world = LearntWorld(TASK, fit_dynamics(transitions, rest_of(TASK)), random)
     seen = world.observe(transitions.states, displacements(transitions))
     near = np.isclose(seen, transitions.observations, atol=2e-3)
     assert near.mean() > 0.999  # a ray may pass a corner on either side
     # With the step before, a step is known better than by its command alone.
     spread = displacements(transitions)[transitions.outcomes == 0].var(axis=0)
-    explained = 1.0 - fit_dynamics(transitions).errors.var(axis=0) / spread
+    explained = 1.0 - fit_dynamics(transitions, rest_of(TASK)).errors.var(axis=0) / spread
     assert (explained[[0, 2]] > fit_motion(transitions).explained).all()
 
 
@@ -167,18 +169,18 @@ def test_roll_outs_in_a_learnt_world_tell_what_a_policy_earns(
     blind = dataclasses.replace(always(0.0, inputs), biases=(np.zeros(4, np.float32), np.array((1.0, 0.0), np.float32)))
     values = load_values(str(value), TASK, tmp_path)
     seeing = learn(transitions, TASK, LearningSettings("value_model", updates=300, hidden=32), values)
-    returns = [model_returns(transitions, TASK, actor, 0.99, 2, 0) for actor in (blind, seeing)]
-    assert [each.shape for each in returns] == [(2, 30), (2, 30)]
+    returns = [roll_out(transitions, TASK, actor, 0.99, 2, 0).returns for actor in (blind, seeing)]
+    assert [each.shape for each in returns] == [(4, 30), (4, 30)]
     assert returns[0].mean() < -100.0  # full speed ahead, into a wall
     assert returns[1].mean() > returns[0].mean() + 300.0
     assert all((each >= TASK.rewards.collision).all() and (each <= TASK.rewards.goal).all() for each in returns)
 
 
 def test_a_model_is_believed_where_it_replays_the_bags(transitions: Transitions) -> None:
-    assert replay_correlation(transitions, TASK, 0) > 0.6
+    assert replay(transitions, TASK, 0).agreement > 0.6
     random = np.random.default_rng(0)
     shuffled = dataclasses.replace(transitions, actions=random.permutation(transitions.actions))
-    assert replay_correlation(shuffled, TASK, 0) < 0.5
+    assert replay(shuffled, TASK, 0).agreement < 0.5
 
 
 def test_only_a_world_that_stays_is_modelled() -> None:
@@ -236,7 +238,7 @@ def test_estimates_find_the_return_of_policies_that_never_drove() -> None:
     recorded, discount = line_of(2, 200), 0.9
     found = {}
     for action in (-1.0, 1.0):
-        values = fit_values(recorded, always(action), discount, 150, 0)
+        values = fit_values(recorded, always(action), discount, 150, 0, (-400.0, 1000.0))
         own = actions_of(always(action), recorded.observations)
         ratios = step_ratios(recorded, np.zeros_like(own), own)
         robust, effective = episode_estimates(recorded, values, ratios, discount)

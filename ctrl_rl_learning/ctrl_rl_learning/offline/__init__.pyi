@@ -11,9 +11,14 @@ from .data.values import solvable as solvable
 from .driving.drivers import NoisyPolicy as NoisyPolicy
 from .driving.drivers import RandomDriver as RandomDriver
 from .driving.drivers import ScriptedDriver as ScriptedDriver
+from .driving.driving import Drives as Drives
 from .driving.driving import drive as drive
+from .evaluation.estimators import actions_of as actions_of
+from .evaluation.replay import correlation as correlation
 from .evaluation.report import evaluate_offline as evaluate_offline
-from .evaluation.roll_outs import correlation as correlation
+from .evaluation.verdict import OfflineReport as OfflineReport
+from .evaluation.verdict import Verdict as Verdict
+from .evaluation.verdict import what_few_show as what_few_show
 from .learners.learning import learn as learn
 from .learners.learning import learn_from_drives as learn_from_drives
 from .learners.settings import METHODS as METHODS

@@ -240,7 +240,7 @@ def _predict(
             "doubly_robust": report.doubly_robust.mean,
             "time_lost": 0.0 if report.time_lost is None else report.time_lost.mean,
             "recommended": report.recommended.mean,
-            "replayed": report.replayed,
+            "replayed": 0.0 if report.support is None else report.support.agreement,
             "better": report.better,
             "driver": report.driver.mean,
             **({} if report.model is None else {"model": report.model.mean}),

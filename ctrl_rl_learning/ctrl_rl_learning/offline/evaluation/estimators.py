@@ -61,31 +61,41 @@ def fit_values(
     discount: float,
     updates: int,
     seed: int,
+    bounds: tuple[float, float],
+    known: NDArray[np.bool_] | None = None,
     tell: Callable[[int], object] = lambda _: None,
 ) -> PolicyValues:
     """Return the values of a policy, fitted to transitions by the task's own rewards.
 
-    Targets are cut off at the most and the least that an episode can still pay, which keeps a fit from running away
-    where the bags say nothing.
+    Targets are cut off at the bounds, which keeps a fit from running away where the bags say nothing. What follows an
+    action that the bags do not know is worth the least: a fit is extrapolated there.
+
+    Args:
+        transitions: Transitions of the driver.
+        actor: Policy.
+        discount: Discount of a step.
+        updates: Number of updates of the networks.
+        seed: Seed of weights and batches.
+        bounds: Least and largest return that an episode can still pay.
+        known: Whether the bags know the policy's action at what followed (N,); all of them unless given.
+        tell: Told the number of updates since the last call.
     """
     middle, unit = scales_of(transitions.observations)
-    scale = float(np.abs(transitions.task_rewards).max(initial=0.0)) or 1.0
+    scale = max(abs(bounds[0]), abs(bounds[1])) or 1.0
     seen, following = ((each - middle) / unit for each in (transitions.observations, transitions.next_observations))
     own = actions_of(actor, transitions.observations), actions_of(actor, transitions.next_observations)
-    arrays = (seen, transitions.actions, transitions.task_rewards / scale, following, own[1], transitions.done)
+    unknown = np.zeros(len(transitions)) if known is None else ~known
+    arrays = (seen, transitions.actions, transitions.task_rewards / scale, following, own[1], transitions.done, unknown)
     tensors = tuple(torch.from_numpy(np.asarray(array, dtype=np.float32)) for array in arrays)
-    least, most = (
-        float(transitions.task_rewards.min(initial=0.0)) / scale,
-        float(transitions.task_rewards.max(initial=0.0)) / scale,
-    )
+    least, most = bounds[0] / scale, bounds[1] / scale
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         critics = Critics(len(middle), _HIDDEN)
         slow = copy.deepcopy(critics)
         optimizer = torch.optim.Adam(critics.parameters(), lr=_RATE, fused=True)
-        for s, a, paid, after, command, ended in batches(tensors, _BATCH, updates, np.random.default_rng(seed)):
+        for s, a, paid, after, command, ended, lost in batches(tensors, _BATCH, updates, np.random.default_rng(seed)):
             with torch.no_grad():
-                worth = _mean(slow, after, command).clamp(least, most)
+                worth = torch.where(lost > 0.0, least, _mean(slow, after, command).clamp(least, most))
                 target = paid + discount * (1.0 - ended) * worth
             first, second = critics(s, a)
             loss = mse_loss(first, target) + mse_loss(second, target)

@@ -1,19 +1,21 @@
-"""What a policy would earn, with intervals, beside what the bags show; and whether it may be called better.
+"""What a policy would earn, with intervals, beside what the bags show; and the verdict on it.
 
 report = evaluate_offline(transitions, task, actor, values)
-report.better      # False unless every method that can tell says so
+report.verdict     # "better" where every assumption of the estimate holds on the bags
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Actor, NavigationTask
+from ctrl_rl_core import Actor, NavigationTask, Outcome, terminal_reward
 from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.data.digests import fitted_to
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.data.values import StateValues
 from ctrl_rl_learning.offline.evaluation.estimators import (
@@ -23,83 +25,23 @@ from ctrl_rl_learning.offline.evaluation.estimators import (
     fit_values,
     step_ratios,
 )
-from ctrl_rl_learning.offline.evaluation.roll_outs import can_model, model_returns, replay_correlation
+from ctrl_rl_learning.offline.evaluation.replay import replay
+from ctrl_rl_learning.offline.evaluation.roll_outs import can_model, roll_out
+from ctrl_rl_learning.offline.evaluation.support import (
+    ModelSupport,
+    commands_beyond,
+    coverage,
+    model_support,
+    spread_of,
+)
+from ctrl_rl_learning.offline.evaluation.verdict import LEAST_EPISODES, OfflineReport, believed
 from ctrl_rl_learning.offline.learners.learning import learn
 from ctrl_rl_learning.offline.learners.settings import LearningSettings
 from ctrl_rl_learning.study.results import Estimate, estimate
 
 Array = NDArray[np.float64]
-_LEAST_EPISODES = 10
-_LEAST_EFFECTIVE = 5.0
-_LEAST_REPLAYED = 0.8
-
-
-@dataclass(frozen=True)
-class OfflineReport:
-    """Estimates of a policy from bags.
-
-    Attributes:
-        driver: Discounted return that the bags show.
-        fitted_q: Return of the policy by fitted Q evaluation.
-        doubly_robust: The same, corrected by what followed in the bags.
-        effective_episodes: Number of episodes that the correction rests on.
-        gain: Return of the policy by fitted Q evaluation, less the driver's.
-        robust_gain: The same by the doubly robust estimate.
-        model: Return of the policy by roll-outs in a model from the bags; None where `can_model` says no.
-        model_gain: The same, less the driver's.
-        replayed: Correlation by which recorded commands end in the model as in the bags; no policy takes part.
-        time_lost: Time that the policy's commands lose by the value function [s/s]; None without one.
-        driver_time_lost: The same of the driver's commands.
-        predicted_time: Time to the goal by the value function from the starts that reached it [s]; None without one.
-        recorded_time: Time that those took in the bags [s].
-    """
-
-    driver: Estimate
-    fitted_q: Estimate
-    doubly_robust: Estimate
-    effective_episodes: float
-    gain: Estimate
-    robust_gain: Estimate
-    model: Estimate | None
-    model_gain: Estimate | None
-    replayed: float
-    time_lost: Estimate | None
-    driver_time_lost: Estimate | None
-    predicted_time: Estimate | None
-    recorded_time: Estimate | None
-
-    @property
-    def by_model(self) -> bool:
-        """Whether to go by the roll-outs: where the model replays the bags. Else fitted Q evaluation counts."""
-        return self.model is not None and self.replayed >= _LEAST_REPLAYED
-
-    @property
-    def recommended(self) -> Estimate:
-        """The estimate to go by."""
-        return self.model if self.model is not None and self.by_model else self.fitted_q
-
-    @property
-    def objections(self) -> list[str]:
-        """Return why the policy may not be called better; nothing where it may."""
-        out = []
-        name, gain = "fitted Q evaluation does", self.gain
-        if self.model_gain is not None and self.by_model:
-            name, gain = "roll-outs in the model do", self.model_gain
-        if not gain.low > 0.0:
-            out.append(f"{name} not show a gain: {gain.low:.3f} to {gain.high:.3f}")
-        if self.effective_episodes >= _LEAST_EFFECTIVE and not self.robust_gain.high > 0.0:
-            out.append(
-                f"the doubly robust estimate shows a loss: {self.robust_gain.low:.3f} to {self.robust_gain.high:.3f}"
-            )
-        times = self.time_lost, self.driver_time_lost
-        if times[0] is not None and times[1] is not None and times[0].low > times[1].high:
-            out.append("by the value function its commands lose more time than the driver's")
-        return out
-
-    @property
-    def better(self) -> bool:
-        """Whether the policy may be called better than the driver of the bags."""
-        return not self.objections
+_LEAST_STEPS = 100
+"""Recorded steps that a model of motion needs."""
 
 
 def evaluate_offline(
@@ -128,44 +70,92 @@ def evaluate_offline(
         tell: Told the number of updates since the last call.
 
     Raises:
-        LearningError: There are too few episodes, or the policy observes something else.
+        LearningError: The policy observes something else.
     """
-    starts = np.flatnonzero(transitions.first)
-    if len(starts) < _LEAST_EPISODES:
-        raise LearningError(f"the bags have {len(starts)} episodes: at least {_LEAST_EPISODES} are needed")
     if len(actor.middle) != transitions.observations.shape[1]:
         raise LearningError(
             f"the policy observes {len(actor.middle)} numbers, the task's policies "
             f"{transitions.observations.shape[1]}: it is another task's"
         )
     random = np.random.default_rng(seed)
-    fitted = [fit_values(transitions, actor, discount, updates, seed + k, tell) for k in range(fits)]
+    starts = np.flatnonzero(transitions.first)
+    earned, seen = transitions.returns(discount), fitted_to(actor.manifest, transitions)
+    modelled = _modelled(transitions, task, actor, earned, discount, fits, seed)
     clone = learn(transitions, task, LearningSettings("bc", updates=max(200, updates // 5), seed=seed))
     own, cloned = (actions_of(each, transitions.observations) for each in (actor, clone))
-    ratios = step_ratios(transitions, cloned, own)
-    earned = transitions.returns(discount)
+    spread = spread_of(transitions, cloned)
+    cloned_after = actions_of(clone, transitions.next_observations)
+    known = coverage(actions_of(actor, transitions.next_observations), cloned_after, spread)
+
+    def fit(paid: Transitions, by: float, bounds: tuple[float, float], number: int) -> PolicyValues:
+        return fit_values(paid, actor, by, updates, seed + number, bounds, known, tell)
+
+    fitted = [fit(transitions, discount, _bounds(task), number) for number in range(fits)]
+    reached = None
+    if not believed(modelled.support):
+        goals = replace(transitions, task_rewards=(transitions.outcomes == Outcome.GOAL).astype(np.float64))
+        reached = estimate(np.array([fit(goals, 1.0, (0.0, 1.0), k).before[starts] for k in range(fits)]), random)
     first = np.array([each.before[starts] for each in fitted])
-    robust, effective = _robust(transitions, fitted, ratios, discount)
+    robust, effective = _robust(transitions, fitted, step_ratios(transitions, cloned, own), discount)
     times = _times(transitions, task, own, values)
-    modelled, replayed = None, 0.0
-    if can_model(task):
-        modelled = model_returns(transitions, task, actor, discount, fits, seed)
-        replayed = replay_correlation(transitions, task, seed)
     return OfflineReport(
+        episodes=len(starts),
+        held_out=None if seen is None else int((~seen).sum()),
         driver=estimate(earned[None], random),
+        driver_success=transitions.success,
         fitted_q=estimate(first, random),
+        fitted_success=reached,
         doubly_robust=estimate(robust, random),
         effective_episodes=effective,
+        coverage=float(coverage(own, cloned, spread).mean()),
         gain=estimate(first - earned, random),
         robust_gain=estimate(robust - earned, random),
-        model=None if modelled is None else estimate(modelled, random),
-        model_gain=None if modelled is None else estimate(modelled - earned, random),
-        replayed=replayed,
+        model=modelled.returns,
+        model_gain=modelled.gain,
+        model_success=modelled.success,
+        support=modelled.support,
+        commands=commands_beyond(transitions, task, own),
         time_lost=None if times is None else estimate(times[0][None], random),
         driver_time_lost=None if times is None else estimate(times[1][None], random),
         predicted_time=None if times is None or not len(times[2]) else estimate(times[2][None], random),
         recorded_time=None if times is None or not len(times[3]) else estimate(times[3][None], random),
     )
+
+
+class _Modelled(NamedTuple):
+    """What roll-outs say, and what they rest on; None each where there can be none."""
+
+    returns: Estimate | None = None
+    gain: Estimate | None = None
+    success: Estimate | None = None
+    support: ModelSupport | None = None
+
+
+def _modelled(
+    transitions: Transitions, task: NavigationTask, actor: Actor, earned: Array, discount: float, fits: int, seed: int
+) -> _Modelled:
+    """Roll a policy out in models; intervals hold what each kind of model says."""
+    steps = int((transitions.outcomes == Outcome.RUNNING).sum())
+    if not can_model(task) or len(earned) < LEAST_EPISODES or steps < _LEAST_STEPS:
+        return _Modelled()
+    rolled = roll_out(transitions, task, actor, discount, fits, seed)
+    support = model_support(transitions, task, rolled, replay(transitions, task, seed), seed)
+    random = np.random.default_rng(seed)
+    shares = rolled.success.mean(axis=1)
+    success = Estimate(float(shares.mean()), float(shares.min()), float(shares.max()))
+    return _Modelled(_around(rolled.returns, random), _around(rolled.returns - earned, random), success, support)
+
+
+def _around(numbers: Array, random: np.random.Generator) -> Estimate:
+    """Return the mean of numbers (models, episodes), and the interval that holds those of both kinds of models."""
+    kinds = [estimate(half, random) for half in np.split(numbers, 2)]
+    return Estimate(float(numbers.mean()), min(kind.low for kind in kinds), max(kind.high for kind in kinds))
+
+
+def _bounds(task: NavigationTask) -> tuple[float, float]:
+    """Return the least and the largest return that an episode can still pay, whether or not a bag shows it."""
+    paid = terminal_reward(np.arange(len(Outcome)), task.rewards)
+    return float(paid.min()), float(paid.max())
 
 
 def _robust(

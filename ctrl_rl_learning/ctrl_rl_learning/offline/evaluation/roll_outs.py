@@ -1,41 +1,77 @@
 """Model-based evaluation: a policy drives in a model of the robot's motion from the bags, among the task's walls.
 
-The model is believed only where it replays the bags: recorded commands of episodes that it was not fitted to must end
-in the model as they ended in the bag.
+Several models take part: each fit has drawn its own episodes, and goes on beyond the recorded speeds in two ways. In
+the second way the robot gets no faster than it was recorded, and whoever leaves the region that the bags know has
+collided. `support` says whether the models may be believed.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 from ctrl_rl_core.policies import ScanPart
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from sim_bridge.engines import shape_row
 from sim_bridge.fleet import scans
 
 from ctrl_rl_core import Actor, NavigationTask, Outcome, TaskSets, drive_fleet, terminal_reward
-from ctrl_rl_learning.offline.data.motion import Dynamics, displaced, displacements_before, fit_dynamics
+from ctrl_rl_learning.offline.data.motion import displaced
 from ctrl_rl_learning.offline.data.transitions import Transitions, sensed_interface
+from ctrl_rl_learning.offline.evaluation.dynamics import Dynamics, fit_dynamics, inputs_of
 from ctrl_rl_learning.offline.evaluation.estimators import actions_of
 
 Array = NDArray[np.float64]
 _APART = 0.05
 """Distance between the places of a step at which outcomes are looked for [m]."""
 
-_REPLAYED = 10
 
 Choose = Callable[[Array, Array, NDArray[np.intp], int], NDArray[np.float32]]
 """Returns the actions (n, 2) at states (n, 3) after displacements (n, 3), of the episodes (n,), in a step."""
 
 
-class LearntWorld:
-    """A task's walls, goal and lidar, in which robots move by dynamics from bags."""
+class Fence:
+    """A region: all within reach of places.
 
-    def __init__(self, task: NavigationTask, dynamics: Dynamics, random: np.random.Generator) -> None:
-        self._task, self._dynamics, self._random = task, dynamics, random
+    Args:
+        states: States at those places (N, 3).
+        reach: Distance to the nearest place up to which a state lies within [m].
+    """
+
+    def __init__(self, states: Array, reach: float) -> None:
+        self._places, self._reach = cKDTree(states[:, :2]), reach
+
+    def nearest(self, states: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return the distance (N,) [m] of states (N, 3) to the nearest place, and its number (N,)."""
+        distances, numbers = self._places.query(states[:, :2])
+        return np.asarray(distances), np.asarray(numbers)
+
+    def leaves(self, states: Array) -> NDArray[np.bool_]:
+        """Return whether states (N, 3) lie outside (N,)."""
+        return self.nearest(states)[0] > self._reach
+
+
+def reach_of(task: NavigationTask) -> float:
+    """Return how far around a recorded place a lidar shows what stands there, even if it has few beams [m]."""
+    return float(np.clip(0.1 * task.lidar.range.high, 0.3, 1.0))
+
+
+class LearntWorld:
+    """A task's walls, goal and lidar, in which robots move by dynamics from bags.
+
+    Attributes:
+        rest: Action (2,) of a robot at rest.
+        fence: Region that no robot may leave, if there is one.
+    """
+
+    def __init__(
+        self, task: NavigationTask, dynamics: Dynamics, random: np.random.Generator, fence: Fence | None = None
+    ) -> None:
+        self._task, self._dynamics, self._random, self.fence = task, dynamics, random, fence
+        self.rest = rest_of(task)
         self._sets = TaskSets(task)
         self._parts = sensed_interface(task).observation
         world = task.build_world()
@@ -44,24 +80,27 @@ class LearntWorld:
         self._mount = (0.0, 0.0) if robot is None else (robot.lidar.x, robot.lidar.y)
 
     def drive(
-        self, starts: Array, before: Array, steps: int, choose: Choose
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Drive episodes; return their outcomes (N,), and the number of the step that brought each (N,).
+        self, starts: Array, inputs: Array, steps: int, choose: Choose
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Drive episodes; return their outcomes (N,), the number of the step that brought each (N,), and where (N, 3).
 
         Args:
             starts: States to start in (N, 3).
-            before: Displacements of the step before (N, 3).
+            inputs: Inputs of the first step (N, 7), of which the actions do not count.
             steps: Number of steps after which an episode is left, still running.
             choose: Chooses the actions.
         """
-        robots = _LearntRobots(self, starts, before)
+        robots = _LearntRobots(self, starts, inputs)
         episodes = drive_fleet(robots, lambda sensed: choose(*sensed), range(len(starts)), steps)
-        return robots.outcomes, episodes.steps - 1
+        return robots.outcomes, episodes.steps - 1, robots.states
 
-    def move(self, states: Array, actions: NDArray[np.float32], moved: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return states (N, 3) and displacements (N, 3) after a step, and its outcomes (N,)."""
-        following, moved = self._dynamics(states, actions, moved, self._random)
-        return following, moved, self._outcomes(states, moved)
+    def move(self, states: Array, inputs: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return states (N, 3) and displacements (N, 3) after a step with inputs (N, 7), and its outcomes (N,)."""
+        following, moved = self._dynamics(states, inputs, self._random)
+        outcomes = self._outcomes(states, moved)
+        if self.fence is not None:
+            outcomes[(outcomes == Outcome.RUNNING) & self.fence.leaves(following)] = Outcome.COLLISION
+        return following, moved, outcomes
 
     def observe(self, states: Array, moved: Array) -> NDArray[np.float32]:
         """Return what a policy observes at states (N, 3) after displacements (N, 3), in SI units (N, n)."""
@@ -77,13 +116,20 @@ class LearntWorld:
         ]
         return np.concatenate(columns, axis=1).astype(np.float32)
 
-    def _ranges(self, part: ScanPart, states: Array) -> Array:
+    def expected_scans(self, states: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the ranges (N, k) [m] of observations at states (N, 3) without noise, and their columns (n,)."""
+        scanned = [np.full(part.size, isinstance(part, ScanPart)) for part in self._parts]
+        ranges = [self._ranges(part, states, noisy=False) for part in self._parts if isinstance(part, ScanPart)]
+        return np.concatenate([np.zeros((len(states), 0)), *ranges], axis=1), np.concatenate(scanned)
+
+    def _ranges(self, part: ScanPart, states: Array, *, noisy: bool = True) -> Array:
         """Return the ranges (N, beams) [m], with the noise and the lost beams of the task's lidar."""
         lidar, random = self._task.lidar, self._random
         ranges = np.empty((len(states), part.count))
         scans(self._shapes, displaced(states, np.array([(*self._mount, 0.0)])), part.bearings, part.high, ranges)
-        ranges += lidar.noise * random.standard_normal(ranges.shape)
-        ranges[random.random(ranges.shape) < lidar.dropout] = part.high
+        if noisy:
+            ranges += lidar.noise * random.standard_normal(ranges.shape)
+            ranges[random.random(ranges.shape) < lidar.dropout] = part.high
         return np.clip(ranges, part.low, part.high)
 
     def _outcomes(self, before: Array, moved: Array) -> NDArray[np.int64]:
@@ -100,24 +146,27 @@ _Sensed = tuple[Array, Array, NDArray[np.intp], int]
 class _LearntRobots:
     """Robots in a learnt world, side by side; those whose episodes have ended move no more."""
 
-    def __init__(self, world: LearntWorld, starts: Array, before: Array) -> None:
-        self._world, self._states, self._moved = world, starts.copy(), before.copy()
+    def __init__(self, world: LearntWorld, starts: Array, inputs: Array) -> None:
+        self._world, self.states = world, starts.copy()
+        self._moved, self._actions = inputs[:, 2:5].copy(), inputs[:, 5:].copy()
         self.outcomes, self._steps = np.zeros(len(starts), dtype=np.int64), 0
 
     def begin(self, _: Sequence[int]) -> tuple[_Sensed, Array]:
         """Return what is known at the start."""
-        return self._sensed(), self._states.copy()
+        return self._sensed(), self.states.copy()
 
     def step(self, actions: NDArray[np.float32]) -> tuple[_Sensed, Array, Array, NDArray[np.int64]]:
         """Hold the actions of those that still drive (n, 2)."""
         states, moved, running, _ = self._sensed()
-        self._states[running], self._moved[running], self.outcomes[running] = self._world.move(states, actions, moved)
+        inputs = inputs_of(actions, moved, self._actions[running])
+        self.states[running], self._moved[running], self.outcomes[running] = self._world.move(states, inputs)
+        self._actions[running] = actions
         self._steps += 1
-        return self._sensed(), self._states.copy(), np.zeros(len(self._states)), self.outcomes
+        return self._sensed(), self.states.copy(), np.zeros(len(self.states)), self.outcomes
 
     def _sensed(self) -> _Sensed:
         running = np.flatnonzero(self.outcomes == Outcome.RUNNING)
-        return self._states[running], self._moved[running], running, self._steps
+        return self.states[running], self._moved[running], running, self._steps
 
 
 def can_model(task: NavigationTask) -> bool:
@@ -125,65 +174,68 @@ def can_model(task: NavigationTask) -> bool:
     return task.system.build().state_names == ("x", "y", "theta") and not task.movers and task.doorways is None
 
 
-def model_returns(
+def rest_of(task: NavigationTask) -> Array:
+    """Return the action (2,) of a robot of a task on wheels that stands still."""
+    low, high = np.array(list(task.robot.commands.values())).T
+    return np.clip(-(high + low) / (high - low), -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class RollOuts:
+    """Roll-outs of a policy from each start of the bags, in several models.
+
+    Attributes:
+        returns: Discounted returns (models, episodes); in the second half of the models, those that go on beyond the
+            bags with more caution.
+        success: Whether the goal was reached (models, episodes).
+        states: States that the policy visited in the first half of the models (M, 3).
+        actions: Its actions there (M, 2).
+        moved: Displacements of the steps before (M, 3).
+    """
+
+    returns: Array
+    success: NDArray[np.bool_]
+    states: Array
+    actions: NDArray[np.float32]
+    moved: Array
+
+
+def roll_out(
     transitions: Transitions, task: NavigationTask, actor: Actor, discount: float, fits: int, seed: int
-) -> Array:
-    """Return what a policy earns in the model from each start of the bags (fits, episodes), discounted.
+) -> RollOuts:
+    """Return roll-outs of a policy from each start of the bags; each fit has a model of episodes drawn for it."""
+    starts, fence = transitions.states[transitions.first], Fence(transitions.states, reach_of(task))
+    visited: list[tuple[Array, NDArray[np.float32], Array]] = []
+    ended = []
+    for cautious in (False, True):
+        for fit in range(fits):
+            random = np.random.default_rng((seed, fit))
+            drawn = random.integers(len(starts), size=len(starts))
+            dynamics = replace(fit_dynamics(episodes_of(transitions, drawn), rest_of(task)), capped=cautious)
+            world = LearntWorld(task, dynamics, random, fence if cautious else None)
 
-    Each fit has a model of its own, of episodes drawn with replacement.
-    """
-    starts = transitions.states[transitions.first]
-    out = []
-    for fit in range(fits):
-        random = np.random.default_rng((seed, fit))
-        drawn = random.integers(len(starts), size=len(starts))
-        world = LearntWorld(task, fit_dynamics(_episodes(transitions, drawn)), random)
+            def choose(
+                states: Array, moved: Array, _: NDArray[np.intp], __: int, world: LearntWorld = world
+            ) -> NDArray[np.float32]:
+                actions = actions_of(actor, world.observe(states, moved))
+                if world.fence is None:
+                    visited.append((states.copy(), actions, moved.copy()))
+                return actions
 
-        def choose(
-            states: Array, moved: Array, _: NDArray[np.intp], __: int, world: LearntWorld = world
-        ) -> NDArray[np.float32]:
-            return actions_of(actor, world.observe(states, moved))
-
-        outcomes, ends = world.drive(starts, np.zeros_like(starts), task.episode.steps, choose)
-        outcomes[outcomes == Outcome.RUNNING] = Outcome.TIMEOUT
-        out.append(terminal_reward(outcomes, task.rewards) * discount**ends)
-    return np.array(out)
-
-
-def replay_correlation(transitions: Transitions, task: NavigationTask, seed: int) -> float:
-    """Return how well recorded commands end in the model as they did in the bag: -1 to 1, 0 where none differ.
-
-    Pieces of `_REPLAYED` steps, counted from an episode's end, are replayed without a look at what comes of them: a
-    policy that looks would mend the model's errors by then. What each earns is correlated with what it earned in the
-    bag. Half of the episodes are replayed in a model of the other half, and the other way around; no policy takes part.
-    """
-    first = np.append(np.flatnonzero(transitions.first), len(transitions))
-    before = displacements_before(transitions)
-    pieces = [np.arange(low, high)[::-1][_REPLAYED - 1 :: _REPLAYED] for low, high in pairwise(first)]
-    replayed, earned = [], []
-    for half in range(2):
-        fitted_to = np.arange(1 - half, len(pieces), 2)
-        world = LearntWorld(task, fit_dynamics(_episodes(transitions, fitted_to)), np.random.default_rng((seed, half)))
-        starts = np.concatenate(pieces[half::2])
-
-        def choose(
-            _: Array, __: Array, which: NDArray[np.intp], step: int, starts: NDArray[np.intp] = starts
-        ) -> NDArray[np.float32]:
-            return transitions.actions[starts[which] + step]
-
-        outcomes, _ = world.drive(transitions.states[starts], before[starts], _REPLAYED, choose)
-        replayed.append(terminal_reward(outcomes, task.rewards))
-        earned.append(transitions.task_rewards[starts + _REPLAYED - 1])
-    return correlation(np.concatenate(replayed), np.concatenate(earned))
+            outcomes, steps, _ = world.drive(starts, at_rest(world, len(starts)), task.episode.steps, choose)
+            outcomes[outcomes == Outcome.RUNNING] = Outcome.TIMEOUT
+            ended.append((terminal_reward(outcomes, task.rewards) * discount**steps, outcomes == Outcome.GOAL))
+    returns, success = (np.array(each) for each in zip(*ended, strict=True))
+    states, actions, moved = (np.concatenate(each) for each in zip(*visited, strict=True))
+    return RollOuts(returns, success, states, actions, moved)
 
 
-def correlation(first: Array, second: Array) -> float:
-    """Return the correlation of two rows of numbers (n,), 0 where one does not vary."""
-    spread = first.std() * second.std()
-    return 0.0 if spread == 0.0 else float(((first - first.mean()) * (second - second.mean())).mean() / spread)
+def at_rest(world: LearntWorld, count: int) -> Array:
+    """Return the inputs (count, 7) of robots that stand still."""
+    return np.tile(np.concatenate((world.rest, np.zeros(3), world.rest)), (count, 1))
 
 
-def _episodes(transitions: Transitions, numbers: NDArray[np.intp]) -> Transitions:
+def episodes_of(transitions: Transitions, numbers: NDArray[np.intp]) -> Transitions:
     """Return the transitions of episodes, counted from 0, in the given order."""
     first = np.append(np.flatnonzero(transitions.first), len(transitions))
     return transitions.rows(np.concatenate([np.arange(first[number], first[number + 1]) for number in numbers]))

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from ctrl_rl_core import Actor, NavigationTask, ValueFunction, task_digest
 from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.data.digests import episode_digests
 from ctrl_rl_learning.offline.data.motion import MotionModel, fit_motion
 from ctrl_rl_learning.offline.data.transitions import RecordedDrives, Transitions, sensed_interface
 from ctrl_rl_learning.offline.data.values import TIME_TO_REACH, StateValues, clearance_of, load_values
@@ -142,7 +143,11 @@ def learn(
         "task": task.name,
         "task_digest": task_digest(task),
         "method": settings.method,
-        "learnt_from": {"transitions": len(transitions), "episodes": transitions.episode_count},
+        "learnt_from": {
+            "transitions": len(transitions),
+            "episodes": transitions.episode_count,
+            "digests": episode_digests(transitions),
+        },
         "settings": vars(settings),
         **({} if values is None else {"value": values.name}),
         **(about or {}),

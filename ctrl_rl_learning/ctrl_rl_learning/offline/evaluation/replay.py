@@ -1,0 +1,82 @@
+"""Held-out pieces of the bags, replayed in models of the others: whether a model moves as the robot did."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask, terminal_reward
+from ctrl_rl_learning.offline.data.motion import displacements
+from ctrl_rl_learning.offline.data.transitions import Transitions
+from ctrl_rl_learning.offline.evaluation.dynamics import fit_dynamics, recorded_inputs
+from ctrl_rl_learning.offline.evaluation.roll_outs import LearntWorld, episodes_of, rest_of
+
+Array = NDArray[np.float64]
+REPLAYED = 10
+"""Steps of a piece of the bags that is replayed."""
+
+
+class Replay(NamedTuple):
+    """Held-out pieces of the bags, replayed in a model.
+
+    Attributes:
+        rows: Transition that begins each piece (n,).
+        replayed: Rewards at the end of the pieces in the model (n,).
+        earned: The same in the bag (n,).
+        missed: Distance between the places where model and bag end [m] (n,).
+        driven: Length of the way in the bag [m] (n,).
+    """
+
+    rows: NDArray[np.intp]
+    replayed: Array
+    earned: Array
+    missed: Array
+    driven: Array
+
+    @property
+    def agreement(self) -> float:
+        """Correlation of what the pieces earn, -1 to 1."""
+        return correlation(self.replayed, self.earned)
+
+
+def replay(transitions: Transitions, task: NavigationTask, seed: int) -> Replay:
+    """Replay recorded commands in a model of other episodes.
+
+    Pieces of `REPLAYED` steps, counted from an episode's end, are replayed without a look at what comes of them: a
+    policy that looks would mend the model's errors by then. Half of the episodes are replayed in a model of the other
+    half, and the other way around; no policy takes part.
+    """
+    first = np.append(np.flatnonzero(transitions.first), len(transitions))
+    inputs = recorded_inputs(transitions, rest_of(task))
+    way = np.append(0.0, np.cumsum(np.abs(displacements(transitions)[:, 0])))
+    pieces = [np.arange(low, high)[::-1][REPLAYED - 1 :: REPLAYED] for low, high in pairwise(first)]
+    found: list[Replay] = []
+    for half in range(2):
+        fitted_to = np.arange(1 - half, len(pieces), 2)
+        dynamics = fit_dynamics(episodes_of(transitions, fitted_to), rest_of(task))
+        world = LearntWorld(task, dynamics, np.random.default_rng((seed, half)))
+        starts = np.concatenate(pieces[half::2])
+        if not len(starts):
+            continue
+
+        def choose(
+            _: Array, __: Array, which: NDArray[np.intp], step: int, starts: NDArray[np.intp] = starts
+        ) -> NDArray[np.float32]:
+            return transitions.actions[starts[which] + step]
+
+        outcomes, _, ends = world.drive(transitions.states[starts], inputs[starts], REPLAYED, choose)
+        last = starts + REPLAYED - 1
+        missed = np.hypot(*(ends - transitions.next_states[last])[:, :2].T)
+        rewards = terminal_reward(outcomes, task.rewards), transitions.task_rewards[last]
+        found.append(Replay(starts, *rewards, missed, way[last + 1] - way[starts]))
+    none = Replay(np.zeros(0, dtype=np.intp), *np.zeros((4, 0)))
+    return Replay(*(np.concatenate(column) for column in zip(none, *found, strict=True)))
+
+
+def correlation(first: Array, second: Array) -> float:
+    """Return the correlation of two rows of numbers (n,), 0 where one does not vary."""
+    spread = first.std() * second.std() if len(first) else 0.0
+    return 0.0 if spread == 0.0 else float(((first - first.mean()) * (second - second.mean())).mean() / spread)

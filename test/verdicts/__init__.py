@@ -1,0 +1,1 @@
+"""Verdicts from bags beside what the policies then do."""
