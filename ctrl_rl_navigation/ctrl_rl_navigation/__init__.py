@@ -1,4 +1,4 @@
-"""Drives a robot to any goal on a map by the time to reach it."""
+"""Drives a robot to any goal on a map, based on the time to reach it."""
 
 import lazy_loader as lazy
 

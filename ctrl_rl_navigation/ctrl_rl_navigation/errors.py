@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class NavigationError(CtrlRlError):
-    """A goal cannot be driven to; the message is the reason."""
+    """A goal cannot be reached; the message gives the reason."""

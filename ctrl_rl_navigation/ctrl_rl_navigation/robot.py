@@ -1,4 +1,4 @@
-"""Size and limits of a differential drive, which value, look-ahead and simulation share."""
+"""Size and limits of a differential drive, shared by value, look-ahead and simulation."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ MARGIN = 0.025
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """A robot that drives forwards and turns on the spot, see `limits_of`.
+    """A robot that drives forwards and turns in place, see `limits_of`.
 
     Attributes:
-        speed: Largest speed [m/s].
-        turn_rate: Largest turn rate [rad/s].
-        acceleration: Largest change of the speed [m/s^2].
-        turn_acceleration: Largest change of the turn rate [rad/s^2].
-        radius: Radius of the disc around the robot's middle that holds all of it [m].
+        speed: Maximum speed [m/s].
+        turn_rate: Maximum turn rate [rad/s].
+        acceleration: Maximum acceleration [m/s^2].
+        turn_acceleration: Maximum angular acceleration [rad/s^2].
+        radius: Radius of the disc around the robot's centre that encloses the robot [m].
         margin: Additional distance to obstacles [m].
         length: Length of a rectangular robot [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
 
     Raises:
-        NavigationError: A number is not finite, is zero or less, or a length is without a width.
+        NavigationError: A number is not finite or not positive, or only one of length and width is given.
     """
 
     speed: float
@@ -48,20 +48,20 @@ class DriveLimits:
 
     @property
     def room(self) -> float:
-        """Least distance of the robot's middle to an obstacle beside it [m]."""
+        """Minimum distance from the robot's centre to an obstacle beside it [m]."""
         return (0.5 * self.width if self.width else self.radius) + self.margin
 
     @property
     def gap(self) -> float:
-        """Least distance of an obstacle to the core of the robot [m]: to its rectangle, or to a round one's middle."""
+        """Minimum distance from an obstacle to the robot's core [m]: its rectangle, or a round robot's centre."""
         return self.margin if self.width else self.radius + self.margin
 
 
 def limits_of(robot: Robot, margin: float = MARGIN) -> DriveLimits:
-    """Return the size of a robot, and what its drivers ask it for, with a margin to obstacles [m].
+    """Return the size and planning limits of a robot, with a margin to obstacles [m].
 
     Raises:
-        NavigationError: It does not drive on wheels.
+        NavigationError: The robot has no wheels.
     """
     if robot.kind != "differential_drive":
         raise NavigationError(f"robot '{robot.name}' does not drive on wheels")

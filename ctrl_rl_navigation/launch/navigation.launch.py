@@ -1,7 +1,8 @@
-"""ros2 launch ctrl_rl_navigation navigation.launch.py map:=office.yaml: navigator and watchdog for a real robot.
+"""Launch file with navigator and watchdog for a real robot.
 
-The watchdog stops the robot when the navigator dies. It is started again when it dies itself, and begins with zeros.
-Without `map` the map comes from another node on the topic `map`; a localiser (AMCL, slam_toolbox) is started elsewhere.
+Run it with `ros2 launch ctrl_rl_navigation navigation.launch.py map:=office.yaml`. The watchdog stops the robot when
+the navigator dies; it is restarted if it dies itself, and starts by sending zeros. Without `map`, the map comes from
+another node on the topic `map`; a localiser (AMCL, slam_toolbox) is started elsewhere.
 """
 
 from launch import LaunchDescription
@@ -26,7 +27,7 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return map server, navigator, watchdog, and RViz where it is wanted."""
+    """Return the launch description of map server, navigator, watchdog and optionally RViz."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     stamped = ParameterValue(given["stamped"], value_type=bool)
     clock = {"use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool)}

@@ -1,4 +1,4 @@
-"""Commands of this package, which need the simulator."""
+"""Commands of this package, which require the simulator."""
 
 import lazy_loader as lazy
 

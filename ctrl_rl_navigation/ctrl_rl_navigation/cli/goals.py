@@ -1,4 +1,4 @@
-"""Random starts and goals on a map, and the time that a drive between them takes at best."""
+"""Random starts and goals on a map, with the minimum driving time between them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import MapSolver
 
 _START_GAP = 0.1
-"""Clearance of a start beyond what the robot needs [m]."""
+"""Clearance of a start in addition to the robot's own need [m]."""
 _FREE = 0
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One drive to make.
+    """One trial drive.
 
     Attributes:
         start: Start pose x, y, theta [m, m, rad].
         goal: Position of the goal [m].
-        reachable: Whether the map has a way to the goal.
+        reachable: Whether a path to the goal exists on the map.
     """
 
     start: tuple[float, float, float]
@@ -35,10 +35,10 @@ class Trial:
 
 
 class GoalMaker:
-    """Draws trials, and knows their best times.
+    """Draws trials, and computes their best times.
 
-    The best time is the time to reach with the full speed everywhere, solved on the same map for the same size of the
-    robot, and the time to turn on the spot into its descent at the full rate. Accelerations are left out.
+    The best time is the time to reach at full speed everywhere, solved on the same map for the same robot size, plus
+    the time to turn in place into the descent direction at the full rate. Accelerations are ignored.
     """
 
     def __init__(self, map_: OccupancyMap, limits: DriveLimits, tolerance: float) -> None:
@@ -46,7 +46,7 @@ class GoalMaker:
         self._solver = MapSolver(map_, limits, slowest=1.0)
 
     def draw(self, random: np.random.Generator, count: int) -> Iterator[Trial]:
-        """Yield trials: starts with some room, goals on any free cell of the map."""
+        """Yield trials: starts with some clearance, goals on any free cell of the map."""
         roomy = np.argwhere(self._solver.clearance >= self._limits.room + _START_GAP)
         free = np.argwhere(self._map.cells == _FREE)
         if not len(roomy):
@@ -60,7 +60,7 @@ class GoalMaker:
             yield Trial(start, place, math.isfinite(self.best_time(start, place)))
 
     def best_time(self, pose: ArrayLike, goal: tuple[float, float]) -> float:
-        """Return the best time from a pose (3,) to a goal [s]; inf where no way leads there."""
+        """Return the best time from a pose (3,) to a goal [s]; inf if there is no path."""
         try:
             value = self._solver.solve(goal, self._tolerance)
         except NavigationError:

@@ -1,4 +1,4 @@
-"""Trials through the real nodes: simulator, navigator, and this process as the one that clicks goals."""
+"""Trials through the real nodes: simulator, navigator, and this process as the operator who sets goals."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from ctrl_rl_navigation.robot import limits_of
 
 _ENDED = (NavigatorStatus.REACHED, NavigatorStatus.UNREACHABLE)
 _SPEED = 3.0
-"""Simulated time per wall time."""
+"""Real-time factor of the simulation."""
 _START_S = 60.0
 _LONGEST, _SPARE_S = 4.0, 30.0
 
 
 class _Operator:
-    """Clicks goals and looks on."""
+    """Publishes goals and monitors the drive."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("trials")
@@ -50,12 +50,12 @@ class _Operator:
         self.node.create_subscription(EpisodeStatus, "episode", self._on_episode, RESULT)
 
     def ready(self) -> bool:
-        """Tell whether the navigator waits for a goal, and the robot's place is known."""
+        """Return whether the navigator is waiting for a goal and the robot's position is known."""
         waits = self.status is not None and self.status.message == "waiting for a goal"
         return waits and bool(np.isfinite(self.pose).all()) and self._goal.get_subscription_count() > 0
 
     def click(self, place: tuple[float, float]) -> None:
-        """Publish a goal, any heading."""
+        """Publish a goal with any heading."""
         self.status = None
         message = PoseStamped()
         message.header.frame_id = "map"
@@ -64,7 +64,7 @@ class _Operator:
         self._goal.publish(message)
 
     def spin(self) -> None:
-        """Take what has arrived."""
+        """Process all received messages."""
         rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def _on_status(self, message: NavigatorStatus) -> None:
@@ -87,10 +87,10 @@ def _start(package: str, executable: str, log: Path, parameters: dict[str, Any])
 
 @contextmanager
 def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_Operator]:
-    """Give an operator beside running nodes; they end with the context.
+    """Start the nodes and yield an operator; the nodes end with the context.
 
     Raises:
-        NavigationError: A node ended, or did not start in time; the message holds its last line.
+        NavigationError: A node ended, or did not start in time; the message contains its last output line.
     """
     running: list[tuple[subprocess.Popen[bytes], Path]] = []
     with tempfile.TemporaryDirectory(prefix="trials_") as name:
@@ -134,7 +134,7 @@ def _nodes(file: Path, start: Any, options: Options, engine: str) -> Iterator[_O
 
 
 def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
-    """Yield the outcome of each trial on a map after those that are made; each begins where the one before ended."""
+    """Yield the outcome of each remaining trial on a map; each one starts where the previous one ended."""
     limits, tolerance = limits_of(find_robot(options.robot)), NavigatorOptions().tolerance
     maker = GoalMaker(map_, limits, tolerance)
     trials = list(maker.draw(np.random.default_rng((options.seed, 1)), options.goals))[made:]

@@ -1,4 +1,4 @@
-"""Options of trials, and what becomes of one."""
+"""Options and outcome of trials."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ctrl_rl_navigation.maps import map_names
 
 @dataclass(frozen=True)
 class Options:
-    """Drives a simulated robot to random goals on maps with the navigator, and counts what becomes of it.
+    """Drive a simulated robot to random goals on maps with the navigator, and count the outcomes.
 
-    The pose has the errors of a localiser, and odometry drifts. Unreachable goals must be told as such.
+    The pose has a localiser's errors, and odometry drifts. Unreachable goals must be reported as such.
     """
 
     maps: tuple[str, ...] = field(default_factory=map_names)
@@ -27,34 +27,34 @@ class Options:
     robot: str = DEFAULT_ROBOT
     """Name of a robot, or the path of its .yaml file."""
     goals: Positive = 100
-    """Number of goals on each map."""
+    """Number of goals per map."""
     seed: NotNegative = 0
-    """Seed of starts, goals and errors."""
+    """Random seed of starts, goals and errors."""
     engines: tuple[Literal["pybullet", "mujoco"], ...] = ("pybullet",)
-    """Engines of the simulation, one after the other."""
+    """Simulation engines, used one after the other."""
     drift: float = 0.05
     """Standard deviation of odometry's relative errors."""
     position_error: float = 0.05
     """Standard deviation of each coordinate of the localiser's pose [m]."""
     heading_error: float = 3.0
-    """Standard deviation of its heading [deg]."""
+    """Standard deviation of the localiser's heading [deg]."""
     folder: FolderToWrite = Path("runs/navigator")
-    """Folder that keeps the drives of each map and engine: after an interruption trials go on where they were."""
+    """Folder for the drives of each map and engine, from which interrupted trials are resumed."""
     results: OptionalFileToWrite = None
-    """JSON file for the results; rows of other maps and engines that it has are kept."""
+    """JSON file for the results; existing rows of other maps and engines are kept."""
     ros: bool = False
     """Drive through the real nodes instead of in one process."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one trial.
+    """Outcome of one trial.
 
     Attributes:
-        trial: Drive that was to be made.
-        drive: End of the drive.
-        best: Best time [s]; inf where no way leads to the goal.
-        answered: Wall time until an unreachable goal was told as such [s]; NaN for others.
+        trial: The trial drive.
+        drive: Result of the drive.
+        best: Best time [s]; inf if no path leads to the goal.
+        answered: Wall time until an unreachable goal was reported as such [s]; NaN for others.
     """
 
     trial: Trial
@@ -64,5 +64,5 @@ class Outcome:
 
     @property
     def arrived(self) -> bool:
-        """Whether the robot reached the goal and touched nothing."""
+        """Whether the robot reached the goal without contact."""
         return self.drive.state is NavigatorState.REACHED and not self.drive.collided

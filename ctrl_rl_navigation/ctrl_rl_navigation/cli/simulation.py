@@ -1,4 +1,4 @@
-"""Drives of the navigator in the simulator, in one process and without ROS."""
+"""Simulated drives of the navigator, in one process and without ROS."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ Array = NDArray[np.float64]
 _ENDED = (NavigatorState.REACHED, NavigatorState.UNREACHABLE)
 _FAR = 1e4
 _STOOD = 0.01
-"""Speed below which a robot stands [m/s]."""
+"""Speed below which a robot counts as stationary [m/s]."""
 _MARGIN, _REACTION, _FASTER = 0.02, 0.3, 1.5
-"""Margin [m] and reaction time [s] of the obstacle stop, and a robot's speed over that of its commands, as in nodes."""
+"""Margin [m] and reaction time [s] of the obstacle stop, and ratio of actual to commanded speed, as in the nodes."""
 TASK_NAME = "drive_on_a_map"
-"""Name of the task, and of its file."""
+"""Name of the task and of its file."""
 
 
 def task_content(map_file: Path, pose: ArrayLike, robot: str = DEFAULT_ROBOT) -> dict[str, Any]:
-    """Return the content of a task file: a robot that starts at a pose (3,) of a map and has nowhere to arrive."""
+    """Return the content of a task file: a robot that starts at a pose (3,) of a map, with an unreachable goal."""
     x, y, theta = np.asarray(pose, np.float64).tolist()
     mounted = find_robot(robot)
     return {
@@ -67,13 +67,13 @@ def task_content(map_file: Path, pose: ArrayLike, robot: str = DEFAULT_ROBOT) ->
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of the pose in the map: those of the bridge's localiser, which vary slowly.
+    """Errors of the pose on the map, those of the bridge's localiser, which vary slowly.
 
     Attributes:
         drift: Standard deviation of odometry's relative errors.
-        position: Standard deviation of each coordinate of a localiser's pose [m].
-        heading: Standard deviation of its heading [rad].
-        rate: Corrections of the localiser per second [Hz].
+        position: Standard deviation of each coordinate of the localiser's pose [m].
+        heading: Standard deviation of the localiser's heading [rad].
+        rate: Rate of the localiser's corrections [Hz].
     """
 
     drift: float = 0.05
@@ -83,12 +83,13 @@ class Errors:
 
 
 class LocalisedRobot:
-    """The robot of a world in Gymnasium's form; a localiser corrects its drifting odometry at a rate.
+    """The robot of a world with Gymnasium's interface; a localiser corrects its drifting odometry periodically.
 
-    Info has `collided`. An episode is cut after some time, or where the driver is done and the robot stands.
+    Info has `collided`. An episode is truncated after some time, or when the driver has finished and the robot is
+    stationary.
 
     Attributes:
-        trace: True poses (3,) in which it was commanded.
+        trace: True poses (3,) at each command.
     """
 
     def __init__(self, world: SimulatedWorld, errors: Errors, random: np.random.Generator, period: float) -> None:
@@ -101,16 +102,16 @@ class LocalisedRobot:
         self._is_done: Callable[[], bool] = lambda: False
 
     def begin(self, longest: float, is_done: Callable[[], bool]) -> None:
-        """Set for how long the next episode may last [s], and what says that its driver is done."""
+        """Set the maximum duration of the next episode [s], and the check whether the driver has finished."""
         self._until, self._is_done = self._world.elapsed + longest, is_done
         self._scan_at = self._world.elapsed
 
     def reset(self, *, seed: int) -> tuple[Sensors, dict[str, Any]]:  # noqa: ARG002 - the world was made of it
-        """Go on from where the robot is."""
+        """Start an episode at the robot's current state."""
         return self._sense(np.zeros(2)), {"collided": False}
 
     def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
-        """Hold a command (2,) for a period."""
+        """Hold a command (2,) for one period."""
         world = self._world
         world.command(0, command)
         self.trace.append(world.pose())
@@ -136,15 +137,15 @@ class LocalisedRobot:
 
 @dataclass(frozen=True)
 class Drive:
-    """The end of a drive.
+    """Result of a drive.
 
     Attributes:
         state: State of the navigator at the end.
         collided: Whether the robot touched something.
         seconds: Simulated duration [s].
         distance: True distance from the goal at the end [m].
-        waited: Part of the duration in which the robot stood [s].
-        solves: Number of values that were solved.
+        waited: Time for which the robot was stationary [s].
+        solves: Number of value functions solved.
     """
 
     state: NavigatorState
@@ -182,7 +183,7 @@ class DriveSimulation:
         self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, mounted.lidar.x, reach)
 
     def drive(self, goal: Goal, longest: float) -> Drive:
-        """Drive to a goal, for at most `longest` seconds."""
+        """Drive to a goal for at most `longest` seconds."""
         world, navigator, driver = self.world, self.navigator, self._driver
         begin, waited, solves = world.elapsed, 0.0, navigator.solves
 
@@ -200,5 +201,5 @@ class DriveSimulation:
         return Drive(state, collided, seconds, distance, waited, navigator.solves - solves)
 
     def close(self) -> None:
-        """Give the physics client back."""
+        """Release the physics client."""
         self.world.close()

@@ -1,4 +1,4 @@
-"""The command `trials`: random drives on maps in the simulator, counted and timed."""
+"""The command `trials`: random drives on maps in the simulator, with counts and times."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from ctrl_rl_navigation.maps import map_file
 from ctrl_rl_navigation.robot import limits_of
 
 _LONGEST, _SPARE_S = 4.0, 30.0
-"""A drive may take so many times its best time, and so much more [s]."""
+"""Time limit of a drive: multiple of its best time, and additional time [s]."""
 _NEAR_S = 3.0
-"""Best time below which a drive is not timed [s]: its accelerations are no small part of it."""
+"""Best time below which a drive is not timed [s], because accelerations are then a large part of it."""
 
 
 def named_file(word: str) -> tuple[str, Path]:
-    """Return name and file of a map of the command line.
+    """Parse the name and file of a map from the command line.
 
     Raises:
-        NavigationError: There is no map of that name, or the name is none for a file.
+        NavigationError: There is no such map, or the name is not valid as a file name.
     """
     name, equals, file = word.partition("=")
     if equals and not re.fullmatch(r"\w[\w.-]*", name):
@@ -44,7 +44,7 @@ def named_file(word: str) -> tuple[str, Path]:
 
 
 def drive_all(file: Path, map_: OccupancyMap, options: Options, engine: str, made: int) -> Iterator[Outcome]:
-    """Yield the outcome of each trial on a map after the first ones, which are made."""
+    """Yield the outcome of each trial on a map, except for the first ones, which are already done."""
     limits, tolerance = limits_of(find_robot(options.robot)), NavigatorOptions().tolerance
     errors = Errors(options.drift, options.position_error, math.radians(options.heading_error))
     maker = GoalMaker(map_, limits, tolerance)
@@ -63,7 +63,7 @@ def drive_all(file: Path, map_: OccupancyMap, options: Options, engine: str, mad
 
 
 def rows_of(method: str, outcomes: list[Outcome]) -> list[Result]:
-    """Return the rows of a map and engine."""
+    """Return the result rows of a map and engine."""
     reachable = [each for each in outcomes if each.trial.reachable]
     others = [each for each in outcomes if not each.trial.reachable]
     timed = [each.drive.seconds / each.best for each in reachable if each.arrived and each.best >= _NEAR_S]
@@ -92,7 +92,7 @@ def _say(name: str, number: int, goals: int, outcome: Outcome) -> None:
 
 
 def _log(name: str, map_: OccupancyMap, options: Options, engine: str) -> OutcomeLog[Outcome]:
-    """Return the drives on a map that were made before."""
+    """Return the log of earlier drives on a map."""
     errors = (options.drift, options.position_error, options.heading_error)
     cells = hashlib.sha256(map_.cells.tobytes() + repr((map_.resolution, map_.origin)).encode()).hexdigest()
     settings = {"map": cells, "seed": options.seed, "errors": list(errors), "engine": engine, "ros": options.ros}

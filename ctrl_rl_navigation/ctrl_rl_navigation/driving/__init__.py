@@ -1,4 +1,4 @@
-"""From value, pose and scan to a command: look-ahead, obstacles that the map has not, and the navigator."""
+"""From value, pose and scan to a command: look-ahead, unmapped obstacles, and the navigator."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Goals, settings and answers of the navigator."""
+"""Goals, settings and decisions of the navigator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class NavigatorState(IntEnum):
-    """State of the navigator; the numbers are those of ctrl_rl_msgs/NavigatorStatus."""
+    """State of the navigator, with the values of ctrl_rl_msgs/NavigatorStatus."""
 
     WAITING = 0
     SOLVING = 1
@@ -26,11 +26,11 @@ class NavigatorState(IntEnum):
 
 @dataclass(frozen=True)
 class Goal:
-    """A place to drive to.
+    """A goal position with an optional heading.
 
     Attributes:
-        position: Position in the map's frame (2,) [m].
-        heading: Direction to turn into on arrival [rad]; None for any.
+        position: Position in the map frame (2,) [m].
+        heading: Final heading [rad]; None for any.
     """
 
     position: tuple[float, float]
@@ -42,13 +42,13 @@ class NavigatorOptions:
     """Settings of a navigator.
 
     Attributes:
-        tolerance: Distance from the goal at which it counts as reached [m].
-        heading_tolerance: Error of the heading on arrival [rad].
-        memory: Time after which an obstacle that nothing sees is forgotten [s].
-        period: Time from command to command [s].
-        delay: Time from a command to its effect and until the next one [s].
-        deceleration: Deceleration of the robot when it brakes [m/s^2].
-        inline: Whether values are solved at once instead of in a thread.
+        tolerance: Distance at which the goal counts as reached [m].
+        heading_tolerance: Tolerance of the final heading [rad].
+        memory: Time after which an obstacle no longer seen is dropped [s].
+        period: Control period [s].
+        delay: Time from a command to its effect, plus the time until the next one [s].
+        deceleration: Braking deceleration of the robot [m/s^2].
+        inline: Whether to solve value functions synchronously instead of in a thread.
     """
 
     tolerance: float = 0.15
@@ -62,13 +62,13 @@ class NavigatorOptions:
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer of one control period.
+    """Decision for one control period.
 
     Attributes:
         command: Speed [m/s] and turn rate [rad/s] (2,).
         state: State of the navigator.
-        message: Reason of the state, in words.
-        remaining_time: Time to reach the goal [s]; NaN where it is unknown.
+        message: Description of the reason for the state.
+        remaining_time: Time to reach the goal [s]; NaN if unknown.
     """
 
     command: Array

@@ -1,4 +1,4 @@
-"""Drives a robot to a goal without a map: the time to reach is solved again and again on what has been seen."""
+"""Drives a robot to a goal without a map: the time to reach is solved repeatedly on the space seen so far."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ctrl_rl_navigation.values.map_value import MapValue
 Array = NDArray[np.float64]
 
 _FASTEST = 2.0
-"""Speed of moving obstacles up to which they are looked for in time [m/s]."""
+"""Maximum speed of moving obstacles that the time-dependent look-ahead considers [m/s]."""
 _BESIDE = 1.0
-"""Distance up to which obstacles of the map count that the scan cannot see, behind the robot [m]."""
+"""Distance within which mapped obstacles outside the scan, behind the robot, are considered [m]."""
 _THIN = 0.03
-"""Side length of the cells of which the look-ahead takes one echo each [m]."""
+"""Side length of the cells from which the look-ahead uses one echo each [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +32,17 @@ class ExplorerOptions:
     """Settings of an explorer.
 
     Attributes:
-        tolerance: Distance from the goal at which it counts as reached [m].
-        resolution: Side length of the map's cells [m].
-        margin: Space around start and goal that the map covers [m].
-        solve_period: Time from one value to the next [s].
-        period: Time from command to command [s].
-        delay: Time from a command to its effect and until the next one [s].
-        deceleration: Deceleration of the robot when it brakes [m/s^2].
+        tolerance: Distance at which the goal counts as reached [m].
+        resolution: Side length of the map cells [m].
+        margin: Margin of the map around start and goal [m].
+        solve_period: Interval between solves of the value function [s].
+        period: Control period [s].
+        delay: Time from a command to its effect, plus the time until the next one [s].
+        deceleration: Braking deceleration of the robot [m/s^2].
         step: Time step of the look-ahead [s].
-        horizon: Time that it looks ahead [s].
-        ease: Additional clearance from which on the speed is full [m].
-        slowest: Share of the full speed beside an obstacle.
+        horizon: Horizon of the look-ahead [s].
+        ease: Additional clearance for full speed [m].
+        slowest: Fraction of the full speed next to an obstacle.
     """
 
     tolerance: float = 0.5
@@ -64,8 +64,8 @@ class Explorer:
     Attributes:
         limits: Size and limits of the robot.
         options: Settings of the explorer.
-        goal: Position of the goal in odometry's frame [m].
-        value: Time to reach it; None before the first scan.
+        goal: Position of the goal in the odometry frame [m].
+        value: Time to reach the goal; None before the first scan.
     """
 
     def __init__(
@@ -95,16 +95,16 @@ class Explorer:
         self._seen, self._solved_at = False, -math.inf
 
     def sent(self, command: Array) -> None:
-        """Record the command that was actually sent; acceleration limits apply relative to this command."""
+        """Record the command actually sent; acceleration limits apply relative to this command."""
         self._command = np.array(command, np.float64)
 
     def see(self, now: float, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
-        """Add a scan to the map, leaving out moving obstacles.
+        """Add a scan to the map, except for moving obstacles.
 
         Args:
             now: Steady time [s].
-            origin: Place of the lidar (2,) [m].
-            ends: Ends of its beams, in their order (n, 2) [m].
+            origin: Position of the lidar (2,) [m].
+            ends: End points of the beams, in beam order (n, 2) [m].
             echoes: Whether each beam hit something (n,).
         """
         self._seen, points = True, ends[echoes]
@@ -115,11 +115,11 @@ class Explorer:
         self._map.see(origin, ends, stands)
 
     def decide(self, now: float, pose: Array) -> Array:
-        """Return speed and turn rate to send (2,) [m/s, rad/s]; zero before the first scan and at the goal.
+        """Return the speed and turn rate to send (2,) [m/s, rad/s]; zero before the first scan and at the goal.
 
         Args:
             now: Steady time [s].
-            pose: Pose by odometry when the last scan was taken (3,) [m, m, rad].
+            pose: Odometry pose at the time of the last scan (3,) [m, m, rad].
         """
         if not self._seen or math.dist(pose[:2], self.goal) <= self.options.tolerance:
             return np.zeros(2)
@@ -135,7 +135,7 @@ class Explorer:
         return choice.command
 
     def _solve(self) -> None:
-        """Solve the time to reach on the map so far; keep the old value if walls cover the goal."""
+        """Solve the time to reach on the current map; keep the old value if walls cover the goal."""
         solver = MapSolver(self._map.occupancy(), self.limits, self.options.slowest, self.options.ease, True)
         try:
             self.value = solver.solve(self.goal, self.options.tolerance, widest=2.0 * self.options.tolerance)
@@ -143,7 +143,7 @@ class Explorer:
             return
 
     def _around(self, pose: Array) -> Array:
-        """Return echoes near the robot in its frame (n, 4) [m, m, m/s, m/s], and obstacles that the scan cannot see."""
+        """Return echoes near the robot in its frame (n, 4) [m, m, m/s, m/s], with mapped obstacles outside the scan."""
         near = self._echoes[
             np.hypot(*(self._echoes[:, :2] - pose[:2]).T) < self._ahead.reach + _FASTEST * self._horizon
         ]

@@ -1,8 +1,8 @@
-"""Chooses a command by the value at the end of short roll-outs, which avoid the echoes of the last scan.
+"""Chooses a command by the value at the end of short roll-outs that avoid the echoes of the last scan.
 
-A candidate is a command that is held for a while, after which the robot drives straight on. Its cost is the time of its
-roll-out, the time to reach from where it ends, and the time to turn there into the direction of the value's descent.
-Commands change within the limits of acceleration. This is the optimal control of the value, over a finite set.
+A candidate is a command held for some time, followed by driving straight ahead. Its cost is the duration of the
+roll-out, plus the time to reach from its end, plus the time to turn there into the value's descent direction. Commands
+change within the acceleration limits. This is the optimal control for the value over a finite set.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ STEP = 0.1
 HORIZON = 1.6
 """Duration of a roll-out [s]."""
 _HOLDS = (0.125, 0.3125, 0.625, 1.0)
-"""Shares of the roll-out for which a candidate holds its command."""
+"""Fractions of the roll-out for which a candidate holds its command."""
 SPEEDS = (0.0, 0.35, 0.7, 1.0)
-"""Shares of the largest speed that are tried."""
+"""Candidate speeds as fractions of the maximum."""
 REVERSING = (-0.3, *SPEEDS)
-"""Those of a robot that cannot turn on the spot everywhere, and backs out."""
+"""Candidate speeds of a robot that cannot turn in place everywhere, and backs out."""
 _TURNS = (-1.0, -0.7, -0.45, -0.25, -0.1, 0.0, 0.1, 0.25, 0.45, 0.7, 1.0)
-"""Shares of the largest turn rate that are tried."""
+"""Candidate turn rates as fractions of the maximum."""
 TURNS_AFTER = (-0.5, -0.2, 0.0, 0.2, 0.5)
-"""Those after a candidate's command with which a robot winds its way between obstacles."""
+"""Turn rates after a candidate's command, for winding between obstacles."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The look-ahead's answer.
+    """Result of the look-ahead.
 
     Attributes:
         command: Speed [m/s] and turn rate [rad/s] to send now (2,).
-        cost: Time to reach the goal that it expects [s]; inf where no command is safe.
-        plan: Speed [m/s] and turn rate [rad/s] that it holds, for how long [s], and the turn rate after that (4,).
+        cost: Predicted time to reach the goal [s]; inf if no command is safe.
+        plan: Speed [m/s], turn rate [rad/s], hold time [s], and subsequent turn rate [rad/s] (4,).
     """
 
     command: Array
@@ -56,15 +56,15 @@ class LookAhead:
 
     Args:
         limits: Size and limits of the robot.
-        period: Time from command to command [s].
-        delay: Time from a command to its effect, and until the next one [s].
-        deceleration: Deceleration of the robot when it brakes [m/s^2].
+        period: Control period [s].
+        delay: Time from a command to its effect, plus the time until the next one [s].
+        deceleration: Braking deceleration of the robot [m/s^2].
         step: Time step of a roll-out [s].
         horizon: Duration of a roll-out [s].
-        ease: Additional clearance from which on driving costs no more than its time [m].
-        slowest: Share of the full speed that driving beside an obstacle is counted with.
-        turns_after: Shares of the largest turn rate that are tried after a candidate's command; 0 is straight on.
-        speeds: Shares of the largest speed that are tried; negative ones are backwards.
+        ease: Additional clearance above which driving has no extra cost [m].
+        slowest: Fraction of the full speed assumed for the cost of driving next to an obstacle.
+        turns_after: Turn rates after a candidate's command, as fractions of the maximum; 0 is straight ahead.
+        speeds: Candidate speeds as fractions of the maximum; negative ones are reverse.
     """
 
     def __init__(
@@ -119,19 +119,19 @@ class LookAhead:
     ) -> Choice:
         """Return the command to send.
 
-        Where the last choice's plan is given, the rest of it is a candidate too. A robot that waits for a moment as the
-        best plan begins so then goes on with it, and does not begin to wait again and again. It may still do so where a
-        plan that drives at once would end before an obstacle, and one that waits first does not get so far: such a
-        robot is stuck.
+        If the plan of the last choice is given, its remainder is a candidate too. A robot whose best plan starts with a
+        short wait then continues that plan instead of waiting repeatedly. It may still wait repeatedly if a plan that
+        drives immediately would end at an obstacle, and one that waits first does not get that far: such a robot is
+        stuck.
 
         Args:
             value: Time to reach the goal.
-            pose: Pose x, y, theta in the map's frame (3,) [m, m, rad].
-            command: Command that was sent last (2,) [m/s, rad/s].
+            pose: Pose x, y, theta in the map frame (3,) [m, m, rad].
+            command: Last command sent (2,) [m/s, rad/s].
             points: Echoes in the robot's frame (n, 2) [m], or with their velocities (n, 4) [m, m, m/s, m/s].
-            plan: Plan of the last choice (4,), one period ago; None for none.
-            stuck: Whether the robot is, so that plans that drive at once go before those that begin with standing or a
-                turn on the spot.
+            plan: Plan of the last choice (4,), one period ago, or None.
+            stuck: Whether the robot is stuck; plans that drive immediately are then preferred to those that start by
+                standing or turning in place.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
@@ -166,7 +166,7 @@ class LookAhead:
         return Choice(np.array((0.0, turn)), math.inf, np.zeros(4))
 
     def _rest(self, plan: Array) -> Array:
-        """Return what is left of a plan (4,) after one period."""
+        """Return the remainder of a plan (4,) after one period."""
         held = plan[2] - self._period
         horizon = self._rules.step * self._rules.steps
         return np.array((*plan[:2], held, plan[3]) if held > 1e-9 else (self.limits.speed, plan[3], horizon, 0.0))

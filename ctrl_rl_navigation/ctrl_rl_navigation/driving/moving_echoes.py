@@ -1,7 +1,7 @@
-"""Tells which echoes of a scan belong to something that moves, and how fast it goes.
+"""Identifies the echoes of moving objects in a scan, and their velocities.
 
-Neighbouring echoes make a group. A group that is small and whole is followed from scan to scan by its middle; where a
-straight line through its last places fits them, and runs fast enough, its echoes have that velocity. All others stand.
+Neighbouring echoes form a group. A small, complete group is tracked from scan to scan by its centre; if a straight line
+fits its recent positions and is fast enough, its echoes get that velocity. All other echoes count as static.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _GAP = 0.3
-"""Distance between neighbouring echoes from which on they belong to different groups [m]."""
+"""Distance between neighbouring echoes above which they belong to different groups [m]."""
 _SIZES = (0.08, 1.2)
-"""Least and largest extent of a group that is followed [m]."""
+"""Minimum and maximum extent of a tracked group [m]."""
 _LEAST_ECHOES = 4
 _BESIDE = 0.03
-"""Angle up to which two echoes are of neighbouring beams [rad]."""
+"""Maximum angle between echoes of neighbouring beams [rad]."""
 _FAR = 7.0
-"""Distance up to which groups are followed [m]."""
+"""Maximum distance of tracked groups [m]."""
 _JUMP = 0.3
-"""Distance from its expected place at which a group is still the same [m]."""
+"""Maximum deviation from the expected position of a tracked group [m]."""
 _MEMORY = 0.5
-"""Time of the places that a line is fitted to [s]."""
+"""Time window of the positions used for the line fit [s]."""
 _LEAST_TIME = 0.2
-"""Time for which a group must have been followed [s]."""
+"""Minimum tracking time of a group [s]."""
 _SLOWEST = 0.3
-"""Speed below which a group counts as standing [m/s]: its visible side changes as the robot drives."""
+"""Speed below which a group counts as static [m/s], since its visible side changes as the robot moves."""
 _MISFIT = 0.04
-"""Root mean square distance of the places from the line [m]."""
+"""Maximum root mean square distance of the positions from the line [m]."""
 
 
 @dataclass
@@ -42,12 +42,12 @@ class _Track:
     velocity: Array = field(default_factory=lambda: np.zeros(2))
 
     def expected(self, now: float) -> Array:
-        """Return the place at a time (2,) [m]."""
+        """Return the predicted position at a time (2,) [m]."""
         time, x, y = self.places[-1]
         return np.array((x, y)) + self.velocity * (now - time)
 
     def take(self, now: float, place: Array) -> None:
-        """Add a place, and fit the line anew."""
+        """Add a position, and update the line fit."""
         self.places.append((now, float(place[0]), float(place[1])))
         while now - self.places[0][0] > _MEMORY:
             self.places.popleft()
@@ -64,18 +64,18 @@ class _Track:
 
 
 class MovingEchoes:
-    """Follows groups of echoes from scan to scan."""
+    """Tracks groups of echoes from scan to scan."""
 
     def __init__(self) -> None:
         self._tracks: list[_Track] = []
 
     def update(self, now: float, origin: Array, echoes: Array) -> Array:
-        """Take a scan and return the velocity of each echo (n, 2) [m/s].
+        """Process a scan and return the velocity of each echo (n, 2) [m/s].
 
         Args:
             now: Steady time [s].
-            origin: Place of the lidar (2,) [m].
-            echoes: Echoes in the order of their beams (n, 2) [m], in a frame that stands.
+            origin: Position of the lidar (2,) [m].
+            echoes: Echoes in beam order (n, 2) [m], in a fixed frame.
         """
         velocities = np.zeros_like(echoes)
         tracks = []
@@ -89,7 +89,7 @@ class MovingEchoes:
         return velocities
 
     def _nearest(self, now: float, place: Array) -> _Track:
-        """Return the track that a group continues, which is taken out of the list, or a new one."""
+        """Return the track that a group continues, removed from the list, or a new track."""
         gaps = [float(np.hypot(*(each.expected(now) - place))) for each in self._tracks]
         if gaps and min(gaps) < _JUMP:
             return self._tracks.pop(int(np.argmin(gaps)))
@@ -97,7 +97,7 @@ class MovingEchoes:
 
 
 def _groups(origin: Array, echoes: Array) -> list[slice]:
-    """Return the groups that are small, whole and near."""
+    """Return the groups that are small, complete and near."""
     if len(echoes) < _LEAST_ECHOES:
         return []
     x, y = (echoes - origin).T

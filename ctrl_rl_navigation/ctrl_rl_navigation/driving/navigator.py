@@ -1,4 +1,4 @@
-"""Drives a robot to goals on a map: value in the background, look-ahead in the foreground, without ROS."""
+"""Drives a robot to goals on a map: value function in the background, look-ahead in the foreground. No ROS."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from ctrl_rl_navigation.values.map_value import MapValue, path_length
 Array = NDArray[np.float64]
 
 _INSIDE = 0.6
-"""Share of the goal's tolerance at which the value is zero, so that the robot stops well within it."""
+"""Fraction of the goal tolerance at which the value is zero, so that the robot stops well within the tolerance."""
 _LOOK_PERIOD = 1.0
-"""Time between two looks at the path [s]."""
+"""Interval between checks of the path [s]."""
 _SOLVE_PERIOD = 2.0
-"""Least time between two solves for one goal [s]."""
+"""Minimum interval between solves for one goal [s]."""
 _PATIENCE = 6.0
-"""Time without progress after which all echoes around count as obstacles [s]."""
+"""Time without progress after which all surrounding echoes count as obstacles [s]."""
 _PROGRESS = 0.5
-"""Least decrease of the time to reach that counts as progress [s]."""
+"""Minimum decrease of the time to reach that counts as progress [s]."""
 _SLACK = 0.1
-"""Distance beyond the tolerance at which the robot has arrived where obstacles let it come no nearer [m]."""
+"""Distance beyond the tolerance at which a blocked robot counts as arrived [m]."""
 _FADED = 0.7
-"""Share of a value's obstacles that must still be there; else it is solved anew."""
+"""Fraction of a value's obstacles that must still be present; otherwise the value is recomputed."""
 _SAME = 0.15
-"""Distance up to which two echoes may come from one obstacle, seen with an error of the pose [m]."""
+"""Maximum distance between two echoes of one obstacle, given the pose error [m]."""
 _NO_PATH: Array = np.empty((0, 2))
 
 
 class Navigator:
-    """Drives one robot to one goal after the other.
+    """Drives one robot to consecutive goals.
 
     Attributes:
         limits: Size and limits of the robot.
         options: Settings of the navigator.
-        path: Places from the robot to the goal (n, 2) [m].
-        layer: Obstacles that the map has not; None before there is a map.
+        path: Positions from the robot to the goal (n, 2) [m].
+        layer: Unmapped obstacles; None without a map.
     """
 
     def __init__(self, limits: DriveLimits, options: NavigatorOptions | None = None) -> None:
@@ -72,39 +72,39 @@ class Navigator:
 
     @property
     def goal(self) -> Goal | None:
-        """Goal that is driven to or was reached; None for none."""
+        """Current or last reached goal; None for none."""
         return self._keeper.goal
 
     @property
     def value(self) -> MapValue | None:
-        """Time to reach the goal; None where there is no goal."""
+        """Time to reach the goal; None without a goal."""
         return self._keeper.value
 
     @property
     def solving(self) -> float:
-        """Share of the value in work that is done; NaN while none is."""
+        """Completed fraction of the running solve; NaN if there is none."""
         return self._keeper.done
 
     @property
     def solves(self) -> int:
-        """Number of values that were solved."""
+        """Number of value functions solved."""
         return self._keeper.solves
 
     @property
     def remaining_distance(self) -> float:
-        """Length of the path from the last look on [m]; NaN where there is none."""
+        """Remaining path length since the last check [m]; NaN without a path."""
         return path_length(self.path) if len(self.path) else math.nan
 
     def set_map(self, map_: OccupancyMap) -> None:
-        """Use another map; until the goal is solved on it, the robot drives on by the old one."""
+        """Use another map; until the goal is solved on it, the robot continues with the old map."""
         self._keeper.set_map(map_)
 
     def set_goal(self, goal: Goal) -> None:
-        """Drive to another goal; the robot goes on to the old one until the value of the new one is ready."""
+        """Drive to another goal; the robot continues to the old goal until the new value is ready."""
         self._keeper.ask(goal)
 
     def cancel(self) -> bool:
-        """Give the goal up and return whether there was one."""
+        """Cancel the goal and return whether there was one."""
         had = self._keeper.is_asked or (self.goal is not None and self._ended is None)
         self._keeper.drop()
         self.path = _NO_PATH
@@ -113,11 +113,11 @@ class Navigator:
         return had
 
     def sent(self, command: Array) -> None:
-        """Note what was sent in the end, from which the next command may differ as the accelerations allow."""
+        """Record the command actually sent; acceleration limits apply relative to this command."""
         self._command = np.array(command, np.float64)
 
     def poll(self, now: float) -> None:
-        """Take what the background has finished by a steady time [s]; `decide` does so, too."""
+        """Process finished background work at a steady time [s]; `decide` does this too."""
         change = self._keeper.poll(keep_goal=self._ended is None)
         if change is Change.NOTHING:
             return
@@ -134,18 +134,18 @@ class Navigator:
             self._ended, self.path = (NavigatorState.UNREACHABLE, self._keeper.reason), _NO_PATH
 
     def see(self, now: float, pose: Array, points: Array) -> None:
-        """Take the echoes of a scan (n, 2) [m] in the robot's frame; its pose then was (3,) [m, m, rad]."""
+        """Process the echoes of a scan (n, 2) [m] in the robot's frame, taken at a pose (3,) [m, m, rad]."""
         if self.layer is not None:
             self.layer.update(now, pose, points, close_to_walls=self._stuck)
             self._stuck = False
 
     def decide(self, now: float, pose: Array, points: Array) -> Decision:
-        """Return what to do now.
+        """Return the decision for this period.
 
         Args:
             now: Steady time [s].
-            pose: Pose of the robot in the map's frame (3,) [m, m, rad].
-            points: Echoes in the robot's frame as of now (n, 2) [m].
+            pose: Pose of the robot in the map frame (3,) [m, m, rad].
+            points: Echoes in the robot's current frame (n, 2) [m].
         """
         self.poll(now)
         if self._keeper.solver is None:
@@ -184,15 +184,15 @@ class Navigator:
         return Decision(choice.command, NavigatorState.DRIVING, "driving", choice.cost)
 
     def _is_there(self, pose: Array, goal: Goal, left: float) -> bool:
-        """Return whether the goal is reached, but for the heading.
+        """Return whether the goal position is reached, ignoring the heading.
 
-        A robot that has tried in vain to come nearer has arrived a bit farther away as well.
+        A blocked robot that could not get closer counts as arrived slightly farther away.
         """
         near = self.options.tolerance + (_SLACK if self._tries else 0.0)
         return math.dist(pose[:2], goal.position) <= near and left <= longest_time_beside(near, self.limits)
 
     def _no_way(self, pose: Array) -> Decision:
-        """Return the answer where the value at the robot is infinite."""
+        """Return the decision if the value at the robot is infinite."""
         assert self._keeper.solver is not None
         if len(self._keeper.known):
             return _stand(NavigatorState.BLOCKED, "an obstacle that the map has not blocks every way to the goal")
@@ -208,7 +208,7 @@ class Navigator:
         return _stand(*self._ended)
 
     def _arrive(self, pose: Array, goal: Goal) -> Decision:
-        """Turn into the goal's heading, or say that it is reached."""
+        """Turn to the goal's heading, or report arrival."""
         if goal.heading is not None:
             error = math.remainder(goal.heading - float(pose[2]), 2.0 * math.pi)
             if abs(error) > self.options.heading_tolerance:
@@ -227,7 +227,7 @@ class Navigator:
         return _stand(*self._ended)
 
     def _look(self, now: float, pose: Array, value: MapValue) -> None:
-        """Look at the path, and have the value solved anew where obstacles lie on it, or have gone."""
+        """Check the path, and request a new value if obstacles lie on it or have disappeared."""
         if now - self._looked_at < _LOOK_PERIOD:
             return
         self._looked_at = now
@@ -241,14 +241,14 @@ class Navigator:
             self._keeper.renew(points)
 
     def _on_the_way(self, points: Array, cell: float) -> bool:
-        """Return whether an obstacle that the value does not know lies on the path."""
+        """Return whether an obstacle unknown to the value lies on the path."""
         if not len(points) or not len(self.path):
             return False
         away = _distances(points, self.path[:: max(1, int(self.limits.room / cell))])
         return bool((away < self.limits.room - 1.5 * cell).any())
 
     def _have_gone(self, points: Array) -> bool:
-        """Return whether many of the obstacles that the value knows are not there any more."""
+        """Return whether many obstacles known to the value have disappeared."""
         known = self._keeper.known
         if not len(known) or not len(points):
             return len(known) > 0
@@ -256,7 +256,7 @@ class Navigator:
 
 
 def warm_up(limits: DriveLimits) -> None:
-    """Compile what driving needs, or read it from disk, before it counts."""
+    """Compile the driving functions, or load them from disk, before timing matters."""
     navigator = Navigator(limits, NavigatorOptions(inline=True))
     navigator.set_map(OccupancyMap(np.zeros((30, 60), np.int8), limits.room))
     navigator.set_goal(Goal((45.0 * limits.room, 15.0 * limits.room)))
@@ -270,5 +270,5 @@ def _stand(state: NavigatorState, message: str) -> Decision:
 
 
 def _distances(points: Array, others: Array) -> Array:
-    """Return the distance of each point (n, 2) to the nearest of the others (m, 2) (n,) [m]."""
+    """Return the distance from each point (n, 2) to the nearest of the others (m, 2) (n,) [m]."""
     return np.asarray(cKDTree(others).query(points)[0])

@@ -20,16 +20,16 @@ _NOWHERE = Transform.planar(0.0, 0.0, 0.0)
 
 
 class NavigatorDriver:
-    """Shows scans to a navigator, each from where it was taken, and asks it for commands.
+    """Passes scans with their poses to a navigator, and requests commands from it.
 
     Args:
-        navigator: Navigator with a map and a goal, or one that waits for them.
-        lidar_x: Position of the lidar ahead of the robot's middle [m].
-        reach: Distance from the robot up to which echoes matter [m].
+        navigator: Navigator, with or without a map and a goal.
+        lidar_x: Position of the lidar ahead of the robot's centre [m].
+        reach: Distance from the robot within which echoes are used [m].
 
     Attributes:
-        navigator: Navigator that decides.
-        decision: Its last decision.
+        navigator: The navigator.
+        decision: Last decision of the navigator.
     """
 
     def __init__(self, navigator: Navigator, lidar_x: float, reach: float = math.inf) -> None:
@@ -38,7 +38,7 @@ class NavigatorDriver:
         self._echoes, self._seen_from = np.empty((0, 2)), _NOWHERE
 
     def see(self, sensors: Sensors) -> None:
-        """Take a scan, with the odometry and (if known) the pose from when it was taken."""
+        """Process a scan, with the odometry and (if known) the pose at its time."""
         try:
             points = view_scan(sensors.ranges, sensors.scan, math.inf, self._lidar_x).points
         except ScanError:
@@ -49,7 +49,7 @@ class NavigatorDriver:
             self.navigator.see(sensors.time, sensors.pose, self._echoes)
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,), zeros if the pose is unknown; a new scan is processed first."""
+        """Return the command (2,); zeros if the pose is unknown. A new scan is processed first."""
         self.navigator.sent(sensors.command)
         if sensors.age == 0.0:
             self.see(sensors)
@@ -69,5 +69,5 @@ class NavigatorDriver:
 
 
 def _place(sensors: Sensors) -> Transform:
-    """Return the pose by odometry."""
+    """Return the odometry pose."""
     return Transform.planar(*planar(sensors.odometry[:7].tolist()).tolist())

@@ -1,4 +1,4 @@
-"""Obstacles that the scan sees and the map has not, on the cells of the map; they fade when nothing sees them again."""
+"""Obstacles in scans but not on the map, stored in map cells; they fade when no longer seen."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ctrl_rl_core import OccupancyMap
 Array = NDArray[np.float64]
 
 FARTHEST = 2.0
-"""Distance up to which echoes are kept [m]: farther ones are displaced by an error of the heading."""
+"""Maximum distance of stored echoes [m], since heading errors displace farther ones."""
 _ERROR, _HEADING_ERROR = 0.15, 0.08
-"""Errors of a pose [m], [rad]: echoes that are nearer to a wall of the map may be that wall."""
+"""Pose errors [m], [rad]: echoes within these of a mapped wall may belong to that wall."""
 _BEHIND = 0.2
-"""Distance by which an echo must lie behind a kept obstacle to take it away [m]."""
+"""Distance by which an echo must lie behind a stored obstacle to remove it [m]."""
 _BINS = 360
 
 
 class ObstacleLayer:
-    """Cells with an obstacle, and when each was seen last.
+    """Cells with an obstacle, and the time each was last seen.
 
     Args:
-        map_: Map that the echoes are compared with.
+        map_: Map with which echoes are compared.
         clearance: Distances to the map's own obstacles (rows, columns) [m].
-        memory: Time after which an obstacle that nothing sees is forgotten [s].
+        memory: Time after which an obstacle no longer seen is dropped [s].
     """
 
     def __init__(self, map_: OccupancyMap, clearance: NDArray[np.float32], memory: float) -> None:
@@ -38,22 +38,22 @@ class ObstacleLayer:
         return len(self._seen)
 
     def points(self) -> Array:
-        """Return the middles of the cells with an obstacle (n, 2) [m]."""
+        """Return the centres of the cells with an obstacle (n, 2) [m]."""
         cells = np.array(list(self._seen), np.intp).reshape(-1, 2)
         return self._map.cell_to_world(cells[:, 0], cells[:, 1])
 
     def clear(self) -> None:
-        """Forget all obstacles."""
+        """Discard all obstacles."""
         self._seen.clear()
 
     def update(self, now: float, pose: Array, points: Array, close_to_walls: bool = False) -> None:
-        """Take the echoes of a scan.
+        """Process the echoes of a scan.
 
         Args:
             now: Steady time [s].
             pose: Pose of the robot at the scan (3,) [m, m, rad].
             points: Echoes in the robot's frame (n, 2) [m].
-            close_to_walls: Whether echoes close to a wall of the map count as obstacles, too.
+            close_to_walls: Whether echoes close to a mapped wall count as obstacles too.
         """
         self._fade(now, pose, points)
         distance = np.hypot(points[:, 0], points[:, 1])
@@ -71,7 +71,7 @@ class ObstacleLayer:
             self._seen[cell] = now
 
     def _fade(self, now: float, pose: Array, points: Array) -> None:
-        """Forget what is old, and what the scan sees through."""
+        """Remove obstacles that are too old, or that the scan sees through."""
         if not self._seen:
             return
         self._seen = {cell: at for cell, at in self._seen.items() if now - at <= self._memory}

@@ -1,4 +1,4 @@
-"""Roll-outs of candidate commands: their duration, their clearance, and the time to reach from where they end."""
+"""Roll-outs of candidate commands: their duration, clearance, and the time to reach from their end."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ctrl_rl_navigation.values.map_value import value_and_slopes
 Array = NDArray[np.float64]
 
 _NEARER = 1e-3
-"""Distance by which an echo must come nearer to count [m]."""
+"""Distance by which an echo must come closer to count [m]."""
 _HIT_COST = 0.5
-"""Cost of a roll-out that ends before an obstacle, besides the time that it then stands [s]."""
+"""Cost of a roll-out that ends at an obstacle, in addition to the standing time [s]."""
 _CHANGE_COST = 0.02
-"""Cost of turning the other way at the full rate [s], so that noise does not decide."""
+"""Cost of reversing the turn direction at the full rate [s], so that noise does not decide."""
 
 
 class Rules(NamedTuple):
-    """Numbers of a roll-out in SI units."""
+    """Parameters of a roll-out in SI units."""
 
     speed: float
     turn_rate: float
@@ -42,9 +42,9 @@ class Rules(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A map's origin, direction and resolution, the robot's pose on it, and the goal's disc in the robot's frame.
+    """Map origin, direction and resolution, the robot's pose on the map, and the goal disc in the robot's frame.
 
-    The disc's places from which more than `goal_time` is left lie behind a wall.
+    Parts of the disc with a time to reach above `goal_time` lie behind a wall.
     """
 
     x: float
@@ -68,7 +68,7 @@ def _toward(value: float, wanted: float, most: float) -> float:
 
 @njit(inline="always")
 def _time_left(times: Any, place: Any, x: float, y: float, theta: float, turn_rate: float) -> tuple[float, float]:
-    """Return the time to reach, and the time to turn into its descent, at a pose in the robot's first frame [s]."""
+    """Return the time to reach plus the time to turn into its descent, at a pose in the robot's first frame [s]."""
     c, s = math.cos(place.robot_theta), math.sin(place.robot_theta)
     along, aside = place.robot_x + c * x - s * y - place.x, place.robot_y + s * x + c * y - place.y
     column = (place.cos * along + place.sin * aside) / place.resolution - 0.5
@@ -84,7 +84,7 @@ def _time_left(times: Any, place: Any, x: float, y: float, theta: float, turn_ra
 
 @njit(inline="always")
 def _beside(points: Any, i: int, time: float, x: float, y: float, c: float, s: float, rules: Any) -> float:
-    """Return the square of an echo's distance to the core of the robot [m^2]: to its rectangle, or to its middle."""
+    """Return the squared distance from an echo to the robot's core [m^2]: its rectangle or its centre."""
     dx, dy = points[0, i] + time * points[2, i] - x, points[1, i] + time * points[3, i] - y
     along = max(abs(c * dx + s * dy) - rules.half_length, 0.0)
     aside = max(abs(c * dy - s * dx) - rules.half_width, 0.0)
@@ -93,7 +93,7 @@ def _beside(points: Any, i: int, time: float, x: float, y: float, c: float, s: f
 
 @njit(fastmath=True)
 def _squares(points: Any, time: float, x: float, y: float, out: Any) -> None:
-    """Fill the squares of distances to the robot's middle (n,) [m^2]; such a loop takes several echoes at once."""
+    """Fill in the squared distances to the robot's centre (n,) [m^2]; such a loop is vectorised."""
     for i in range(len(out)):
         dx, dy = points[0, i] + time * points[2, i] - x, points[1, i] + time * points[3, i] - y
         out[i] = dx * dx + dy * dy
@@ -103,10 +103,10 @@ def _squares(points: Any, time: float, x: float, y: float, out: Any) -> None:
 def _gap(
     points: Any, now: Any, time: float, x: float, y: float, theta: float, rules: Any, squares: Any
 ) -> tuple[float, bool]:
-    """Return the distance of the nearest echo to the robot's middle [m], and whether one that is too near comes nearer.
+    """Return the distance of the nearest echo to the robot's centre [m], and whether a too close one gets closer.
 
-    The time to reach is computed from the middle's clearance. A cost based on the rectangle's clearance would exceed
-    it, and waiting would seem better than driving.
+    The time to reach is computed from the centre's clearance. A cost based on the rectangle's clearance would exceed
+    it, which would make waiting seem better than driving.
     """
     _squares(points, time, x, y, squares)
     least, odd, even = np.inf, np.inf, len(squares) // 2 * 2
@@ -130,7 +130,7 @@ def _gap(
 def _cost(
     times: Any, place: Any, points: Any, now: Any, rules: Any, motion: Any, candidate: Any, squares: Any
 ) -> float:
-    """Return the cost of a candidate [s]; inf where the robot could not stop in time."""
+    """Return the cost of a candidate [s]; inf if the robot could not stop in time."""
     v, omega = motion
     x = y = theta = 0.0
     way = cost = committed = 0.0

@@ -1,4 +1,4 @@
-"""A map that grows from scans, in the frame of odometry: what was not seen yet counts as free."""
+"""A map built from scans in the odometry frame; unseen space counts as free."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ctrl_rl_core import OccupancyMap
 Array = NDArray[np.float64]
 
 _HIT, _MISS = 3, 1
-"""Weights of an echo in a cell, and of a beam through it."""
+"""Weights of an echo in a cell, and of a beam through a cell."""
 _MOST, _SOLID = 15, 3
-"""Largest weight of a cell, and the least with which it counts as an obstacle."""
+"""Maximum weight of a cell, and minimum weight of an obstacle."""
 _SHORT = 0.06
-"""Length by which a beam is taken to end before its echo [m]: an obstacle seen at its edge is not worn away."""
+"""Length by which a beam is shortened before its echo [m], so that an obstacle seen at its edge is not eroded."""
 
 
 @cached_njit
 def _look(weights: Any, row: float, column: float, ends: Array, echoes: Any, short: float) -> None:
-    """Lower the cells along beams from a place to their ends (n, 2), and raise those with an echo; in cells."""
+    """Lower the cells along beams from a position to their ends (n, 2), and raise those with an echo; in cells."""
     height, width = weights.shape
     for i in range(len(ends)):
         rise, run = ends[i, 0] - row, ends[i, 1] - column
@@ -44,14 +44,14 @@ def _look(weights: Any, row: float, column: float, ends: Array, echoes: Any, sho
 
 
 class ScanMap:
-    """Cells with an obstacle, by how often beams ended there and went through."""
+    """Cells with an obstacle, based on counts of beams that end in and pass through each cell."""
 
     def __init__(self, corners: Array, margin: float, resolution: float) -> None:
-        """Cover a rectangle, nothing of which is known.
+        """Cover a rectangle of unknown space.
 
         Args:
-            corners: Places that it holds (n, 2) [m].
-            margin: Space around them [m].
+            corners: Points to be covered (n, 2) [m].
+            margin: Margin around the points [m].
             resolution: Side length of a cell [m].
         """
         low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
@@ -61,23 +61,23 @@ class ScanMap:
         self._geometry = OccupancyMap(np.zeros((rows, columns), np.int8), resolution, origin)
 
     def see(self, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
-        """Take a scan.
+        """Process a scan.
 
         Args:
-            origin: Place of the lidar (2,) [m].
-            ends: Ends of its beams (n, 2) [m].
-            echoes: Which of them met something (n,); the others went through free space only.
+            origin: Position of the lidar (2,) [m].
+            ends: End points of the beams (n, 2) [m].
+            echoes: Whether each beam hit something (n,); the others passed only through free space.
         """
         row, column = self._geometry.to_grid(origin).tolist()
         _look(self._weights, row, column, self._geometry.to_grid(ends), echoes, _SHORT / self._geometry.resolution)
 
     def occupancy(self) -> OccupancyMap:
-        """Return the map as of now."""
+        """Return the current map."""
         cells = np.where(self._weights >= _SOLID, OCCUPIED, FREE).astype(np.int8)
         return OccupancyMap(cells, self._geometry.resolution, self._geometry.origin)
 
     def points_near(self, place: Array, reach: float) -> Array:
-        """Return the middles of cells with an obstacle (n, 2) [m] in a square around a place (2,) [m]."""
+        """Return the centres of cells with an obstacle (n, 2) [m] in a square around a position (2,) [m]."""
         resolution = self._geometry.resolution
         row, column = np.rint(self._geometry.to_grid(place)).astype(int).tolist()
         cells = math.ceil(reach / resolution)

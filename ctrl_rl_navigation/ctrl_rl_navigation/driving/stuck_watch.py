@@ -1,4 +1,4 @@
-"""Tells whether a robot that is to drive gets on."""
+"""Detects a robot that should drive but makes no progress."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _STAYS = 0.1
-"""Distance within which a robot stays about a place [m]."""
+"""Radius within which a robot counts as staying in place [m]."""
 _TURNS = 0.5
-"""Turn by which it gets on where it stays [rad]."""
+"""Rotation that counts as progress in place [rad]."""
 _PATIENCE = 1.0
-"""Time after which a robot that does not get on is stuck [s]."""
+"""Time without progress after which a robot is stuck [s]."""
 _LEFT = 0.5
-"""Distance from the place at which it no longer is [m]."""
+"""Distance from the place at which the robot is no longer stuck [m]."""
 
 
 class StuckWatch:
-    """Takes poses; a robot that stays in one is stuck until it has left the place."""
+    """Tracks poses; a robot that stays in one place is stuck until it leaves."""
 
     def __init__(self) -> None:
         self._pose: Array = np.full(3, math.inf)
         self._since, self._stuck = math.inf, False
 
     def stuck(self, now: float, pose: Array) -> bool:
-        """Return whether a robot is stuck.
+        """Return whether the robot is stuck.
 
         Args:
             now: Steady time [s].

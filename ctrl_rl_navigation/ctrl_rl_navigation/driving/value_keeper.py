@@ -1,4 +1,4 @@
-"""Keeps the value of the present goal, and solves those of other goals, maps and obstacles in the background."""
+"""Holds the value of the current goal, and solves values of other goals, maps and obstacles in the background."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NONE: Array = np.empty((0, 2))
 
 
 class Change(Enum):
-    """News of the background."""
+    """Result of background work."""
 
     NOTHING = auto()
     MAP = auto()
@@ -31,27 +31,27 @@ class Change(Enum):
     REFUSED = auto()
     """Another goal has no value; there is no goal any more."""
     RENEWED = auto()
-    """The value of the present goal was solved anew."""
+    """The value of the current goal was recomputed."""
     TAKEN = auto()
-    """Obstacles leave no place at the present goal; its value is the one from before."""
+    """Obstacles cover the current goal; the previous value is kept."""
 
 
 class ValueKeeper:
-    """The value of the present goal.
+    """Manages the value of the current goal.
 
     Args:
         limits: Size and speed of the robot.
-        radius: Distance from a goal at which its value is zero [m].
-        widest: The same for goals that the robot cannot come so near to [m].
-        inline: Whether values are solved at once instead of in a thread.
+        radius: Distance from the goal at which the value is zero [m].
+        widest: Larger distance for goals that the robot cannot get that close to [m].
+        inline: Whether to solve values synchronously instead of in a thread.
 
     Attributes:
-        solver: Solver on the map in use; None before the first map.
-        goal: Goal whose value is in use; None for none.
-        value: Value in use; None for none.
-        known: Obstacles that it was solved with, besides the map's (n, 2) [m].
-        reason: Reason of the last refusal.
-        solves: Number of values that were solved.
+        solver: Solver for the current map; None before the first map.
+        goal: Goal of the current value; None for none.
+        value: Current value; None for none.
+        known: Unmapped obstacles included in the value (n, 2) [m].
+        reason: Reason for the last refusal.
+        solves: Number of values solved.
     """
 
     def __init__(self, limits: DriveLimits, radius: float, widest: float, inline: bool) -> None:
@@ -69,48 +69,48 @@ class ValueKeeper:
 
     @property
     def at_work(self) -> bool:
-        """Whether a value is in work."""
+        """Whether a solve is running."""
         return self._job is not None
 
     @property
     def done(self) -> float:
-        """Share of the value in work that is done; NaN while none is."""
+        """Completed fraction of the running solve; NaN if there is none."""
         return math.nan if self._job is None else self._job.done
 
     @property
     def prepares_map(self) -> bool:
-        """Whether a map is in work."""
+        """Whether a map is being prepared."""
         return self._new_map is not None
 
     @property
     def is_asked(self) -> bool:
-        """Whether there is a goal that has no value yet."""
+        """Whether a goal is still without a value."""
         return self._next_goal is not None
 
     def set_map(self, map_: OccupancyMap) -> None:
-        """Prepare another map."""
+        """Start preparing another map."""
         self._new_map = start_job(lambda _: MapSolver(map_, self._limits), self._inline)
 
     def ask(self, goal: Goal) -> None:
-        """Solve for another goal; an older request is dropped."""
+        """Start solving for another goal; an older request is dropped."""
         self._next_goal = goal
         self._solve(_NONE)
 
     def renew(self, obstacles: Array) -> None:
-        """Solve for the present goal with obstacles (n, 2) [m]."""
+        """Start solving for the current goal with obstacles (n, 2) [m]."""
         self._solve(obstacles)
 
     def drop(self) -> None:
-        """Drop goals, value and work."""
+        """Drop goals, value and background work."""
         self._stop_work()
         self.goal = self._next_goal = self.value = None
         self.known = _NONE
 
     def poll(self, keep_goal: bool) -> Change:
-        """Take what the background has finished, and return the news.
+        """Process finished background work, and return the changes.
 
         Args:
-            keep_goal: Whether the present goal is solved on another map, too.
+            keep_goal: Whether to solve the current goal on a new map too.
         """
         if self._new_map is not None and self._new_map.finished.is_set():
             self._take_map(self._new_map, keep_goal)
@@ -148,7 +148,7 @@ class ValueKeeper:
         return Change.GOAL if is_new else Change.RENEWED
 
     def _solve(self, obstacles: Array) -> None:
-        """Begin to solve for the next goal, or anew for the present one."""
+        """Start solving for the next goal, or again for the current one."""
         self._stop_work()
         goal, solver = self._next_goal or self.goal, self.solver
         if goal is None or solver is None:

@@ -1,4 +1,4 @@
-"""Maps that ship with the package, and the functions that made them."""
+"""Maps shipped with the package, and the functions that generated them."""
 
 from pathlib import Path
 
@@ -9,15 +9,15 @@ FOLDER = Path(__file__).parent
 
 
 def map_names() -> tuple[str, ...]:
-    """Return the names of the maps that ship with the package."""
+    """Return the names of the shipped maps."""
     return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
 
 
 def map_file(name_or_path: str | Path) -> Path:
-    """Return the file of a map by name, or the path itself where it ends in .yaml.
+    """Return the file of a map by name, or the path unchanged if it ends in .yaml.
 
     Raises:
-        NavigationError: There is no map of that name.
+        NavigationError: The map does not exist.
     """
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml"):
@@ -28,10 +28,10 @@ def map_file(name_or_path: str | Path) -> Path:
 
 
 def load_map(name_or_path: str | Path) -> OccupancyMap:
-    """Read a map by name, or from a file.
+    """Load a map by name or file.
 
     Raises:
-        NavigationError: There is no map of that name.
-        MapError: The file is missing or wrong.
+        NavigationError: The map does not exist.
+        MapError: The file is missing or invalid.
     """
     return OccupancyMap.load(map_file(name_or_path))

@@ -1,4 +1,4 @@
-"""Makes the maps that ship with the package: `python -m ctrl_rl_navigation.maps.generated FOLDER`."""
+"""Generates the shipped maps: `python -m ctrl_rl_navigation.maps.generated FOLDER`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Cells = NDArray[np.int8]
 
 
 def maze(seed: int = 3, rooms: tuple[int, int] = (9, 7), width: int = 16, wall: int = 2) -> Cells:
-    """Return a maze without circles but for a few openings: ways of 0.8 m between walls of 0.1 m.
+    """Generate a maze with few loops: passages of 0.8 m between walls of 0.1 m.
 
     Args:
-        seed: Seed of the ways.
+        seed: Random seed of the passages.
         rooms: Number of cells of the maze along x and y.
-        width: Width of a way [cells of the map].
-        wall: Thickness of a wall [cells of the map].
+        width: Width of a passage [map cells].
+        wall: Thickness of a wall [map cells].
     """
     random = np.random.default_rng(seed)
     across, up = rooms
@@ -52,7 +52,7 @@ def maze(seed: int = 3, rooms: tuple[int, int] = (9, 7), width: int = 16, wall: 
 
 
 def _open(cells: Cells, one: tuple[int, int], other: tuple[int, int], width: int, wall: int) -> None:
-    """Take away the wall between two neighbouring rooms of a maze."""
+    """Remove the wall between two neighbouring rooms of a maze."""
     pitch = width + wall
     bottom, top = sorted((one[0], other[0]))
     left, right = sorted((one[1], other[1]))
@@ -61,11 +61,11 @@ def _open(cells: Cells, one: tuple[int, int], other: tuple[int, int], width: int
 
 
 def warehouse(seed: int = 5, size: tuple[int, int] = (240, 180)) -> Cells:
-    """Return a hall of 12 m by 9 m with rows of shelves, aisles of 0.8 to 1.2 m, and pallets that stand about.
+    """Generate a hall of 12 m by 9 m with rows of shelves, aisles of 0.8 to 1.2 m, and scattered pallets.
 
     Args:
-        seed: Seed of aisles and pallets.
-        size: Number of cells of the map along x and y.
+        seed: Random seed of aisles and pallets.
+        size: Number of map cells along x and y.
     """
     random = np.random.default_rng(seed)
     columns, rows = size
@@ -86,10 +86,10 @@ def warehouse(seed: int = 5, size: tuple[int, int] = (240, 180)) -> Cells:
 
 
 def corridor(seed: int = 1, length: int = 300, width: int = 24) -> Cells:
-    """Return a corridor of 15 m by 1.2 m that bends twice, with rooms behind doors of 0.6 m.
+    """Generate a corridor of 15 m by 1.2 m with two bends, and rooms behind doors of 0.6 m.
 
     Args:
-        seed: Seed of the doors.
+        seed: Random seed of the doors.
         length: Length of the corridor [cells].
         width: Width of the corridor [cells].
     """
@@ -110,7 +110,7 @@ def corridor(seed: int = 1, length: int = 300, width: int = 24) -> Cells:
 def _room(
     cells: Cells, rows: tuple[int, int], columns: tuple[int, int], wall: int, random: np.random.Generator
 ) -> None:
-    """Clear a room with a table in it, and a door of 0.6 m through the wall that begins at row `wall`."""
+    """Clear a room with a table, and a door of 0.6 m through the wall that starts at row `wall`."""
     cells[rows[0] : rows[1], columns[0] : columns[1]] = 0
     door = int(random.integers(columns[0] + 4, columns[1] - 16))
     cells[wall : wall + 2, door : door + 12] = 0
@@ -122,12 +122,12 @@ MAPS: Mapping[str, Callable[[], Cells]] = {"maze": maze, "warehouse": warehouse,
 
 
 def make_map(name: str) -> OccupancyMap:
-    """Return a map of `MAPS` by its name."""
+    """Generate a map of `MAPS` by name."""
     return OccupancyMap(MAPS[name](), RESOLUTION)
 
 
 def main() -> int:
-    """Write all maps into a folder."""
+    """Write all maps to a folder."""
     folder = Path(sys.argv[1])
     for name in MAPS:
         make_map(name).save(folder / f"{name}.yaml")

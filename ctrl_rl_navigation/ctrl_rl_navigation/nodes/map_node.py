@@ -1,4 +1,4 @@
-"""The map server: a map file as a latched topic, where no other map server runs."""
+"""Map server: publishes a map file on a latched topic, if no other map server is running."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ctrl_rl_navigation.maps import load_map
 
 
 class MapServer(SuiteNode):
-    """Publishes a map file on `map`, latched; another file may be given while it runs."""
+    """Publishes a map file on `map`, latched; the file can be changed at run time."""
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("map", "", "Name of a map of the suite, or a .yaml file of map_server.", live=True, kind="path"),
@@ -32,7 +32,7 @@ class MapServer(SuiteNode):
             self._publish()
 
     def status(self) -> Status:
-        """Return the map that is published."""
+        """Report the published map."""
         return ok("serving", map=self.settings["map"], size=self._size)
 
     def _publish(self) -> None:

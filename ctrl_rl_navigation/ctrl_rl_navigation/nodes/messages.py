@@ -1,4 +1,4 @@
-"""Messages of the navigator: goals in, status, path and value out."""
+"""Messages of the navigator: goals in; status, path and value out."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_value import MapValue
 
 _PATH_STEP = 5
-"""Places of a path from one pose of its message to the next."""
+"""Stride of the path positions in a path message."""
 
 
 def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goal:
-    """Return the goal of a message.
+    """Parse a goal message.
 
     Args:
-        message: Goal in a frame of its own.
-        frame: Pose of that frame in the map's.
-        with_heading: Whether the heading counts; a message without an orientation has none.
+        message: Goal in its own frame.
+        frame: Pose of that frame in the map frame.
+        with_heading: Whether to use the heading; a message without an orientation has none.
 
     Raises:
-        NavigationError: It is no pose.
+        NavigationError: The pose is invalid.
     """
     try:
         goal = read_goal(message.pose)
@@ -47,7 +47,7 @@ def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goa
 
 
 def status_message(navigator: Navigator, decision: Decision, header: Header) -> NavigatorStatus:
-    """Return what the navigator does as a message."""
+    """Convert the navigator's decision to a status message."""
     out = NavigatorStatus(header=header, state=int(decision.state), message=decision.message)
     if navigator.goal is not None:
         out.goal = _pose(*navigator.goal.position, navigator.goal.heading or 0.0)
@@ -58,7 +58,7 @@ def status_message(navigator: Navigator, decision: Decision, header: Header) -> 
 
 
 def path_message(path: NDArray[np.float64], header: Header) -> Path:
-    """Return a path (n, 2) [m] as a message; the poses look along it."""
+    """Convert a path (n, 2) [m] to a message; poses point along the path."""
     places = np.concatenate((path[:-1:_PATH_STEP], path[-1:])) if len(path) else path
     steps = np.diff(places, axis=0)
     headings = np.arctan2(steps[:, 1], steps[:, 0]).tolist() if len(places) > 1 else []
@@ -72,7 +72,7 @@ def path_message(path: NDArray[np.float64], header: Header) -> Path:
 
 
 def slice_message(value: MapValue, stamp: Time, frame: str) -> OccupancyGrid:
-    """Return a value as a map: 0 at the goal, 100 where the time is the largest, -1 where no way leads."""
+    """Convert a value to a map: 0 at the goal, 100 at the maximum time, -1 where unreachable."""
     out: Any = value.map.to_message(stamp, frame)
     del out.data[:]
     out.data.frombytes(as_percent(value.times).tobytes())

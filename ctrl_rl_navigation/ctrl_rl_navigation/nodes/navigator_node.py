@@ -48,21 +48,21 @@ Array = NDArray[np.float64]
 
 _STATUS_PERIOD = 0.5
 _GUARD_GAP = 0.005
-"""Distance by which the look-ahead stays farther from obstacles than the obstacle stop asks [m]."""
+"""Additional distance to obstacles of the look-ahead compared with the obstacle stop [m]."""
 _LAST_ZEROS = 10
-"""Zero commands at the end of a drive; then the topic is left to others."""
+"""Number of zero commands at the end of a drive, after which the topic is free for others."""
 _FINE = (NavigatorState.DRIVING, NavigatorState.REACHED, NavigatorState.SOLVING)
 _STAND = np.zeros(2)
 _NOWHERE = Transform.planar(0.0, 0.0, 0.0)
 _NO_SCAN = np.empty(0, np.float32), ScanGeometry(0, 0.0, 1.0, 0.0, 1.0)
-"""What commands are asked with: scans are shown as they come."""
+"""Sensors for command requests; scans are passed on separately as they arrive."""
 
 
 class NavigatorNode(RobotNode):
-    """Drives a robot to goals on a map by the time to reach them.
+    """Drives a robot to goals on a map, based on the time to reach them.
 
     Subscribes to map, goal_pose, scan, odom, and /tf or amcl_pose; publishes cmd_vel, path, ~/status and ~/slice, and
-    answers ~/query and ~/cancel. Without a recent scan, odometry and pose on the map the robot stands still.
+    answers ~/query and ~/cancel. Without a recent scan, odometry and pose on the map, the robot stops.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = NAVIGATOR_PARAMETERS
@@ -116,12 +116,12 @@ class NavigatorNode(RobotNode):
         self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: now goals are heard
 
     def _keep(self, message: Odometry, odometry: Array) -> None:
-        """Keep the pose by odometry."""
+        """Store the odometry pose."""
         self._odometry = odometry
         self._input.on_odometry(message, self.robot.frame)
 
     def _see(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Show the driver a scan, from where it was taken."""
+        """Pass a scan to the driver, with the pose at its time."""
         track, pose = self._input.track, None
         try:
             there = track.at(nanoseconds(message.header.stamp))
@@ -133,7 +133,7 @@ class NavigatorNode(RobotNode):
         self._driver.see(Sensors(ranges, scan, odometry, pose, None, self._sent, self.robot.now()))
 
     def status(self) -> Status:
-        """Return what the navigator does."""
+        """Report the navigator's state."""
         level, message, figures = super().status()
         decision = self._driver.decision
         figures = {
@@ -149,7 +149,7 @@ class NavigatorNode(RobotNode):
         return (ok if decision.state in _FINE or self._is_idle() else warn)(decision.message, **figures)
 
     def _use(self, map_: OccupancyMap) -> None:
-        """Use a map unless it is the present one."""
+        """Use a map unless it is already in use."""
         if self._map is None or not self._map.is_same(map_):
             self._map = map_
             self._navigator.set_map(map_)
@@ -192,7 +192,7 @@ class NavigatorNode(RobotNode):
         return response
 
     def _frame(self, name: str) -> Transform:
-        """Return the pose of a frame in the map's; an empty name is that of the map.
+        """Return the pose of a frame in the map frame; an empty name is the map frame.
 
         Raises:
             TransformError: The frame is unknown.
@@ -200,7 +200,7 @@ class NavigatorNode(RobotNode):
         return _NOWHERE if name in ("", self.settings["map_frame"]) else self._input.frame_in_map(name)
 
     def _tick(self) -> None:
-        """Decide, send, and say what has changed."""
+        """Decide, send the command, and report changes."""
         before = self._driver.decision
         self._drive()
         decision = self._driver.decision
@@ -210,7 +210,7 @@ class NavigatorNode(RobotNode):
         self._show()
 
     def _drive(self) -> None:
-        """Send the driver's command, or stop where an input is missing."""
+        """Send the driver's command, or stop if an input is missing."""
         robot, driver, problem, pose = self.robot, self._driver, self.robot.input_fault(), None
         try:
             pose = self._input.pose()
@@ -237,7 +237,7 @@ class NavigatorNode(RobotNode):
         return self._zeros > _LAST_ZEROS
 
     def _report(self) -> None:
-        """Publish the status; where a simulated clock stands still, nobody else decides that the robot must stand."""
+        """Publish the status; if the simulated clock stands still, also stop the robot."""
         if self.robot.stale_input():
             self._tick()
         self._tell()
@@ -248,7 +248,7 @@ class NavigatorNode(RobotNode):
         self._told.publish(status_message(self._navigator, self._driver.decision, header))
 
     def _show(self) -> None:
-        """Publish path and value where they have changed."""
+        """Publish path and value if they have changed."""
         path, value = self._navigator.path, self._navigator.value
         stamp, frame = self.get_clock().now().to_msg(), self.settings["map_frame"]
         if path is not self._shown[0]:
@@ -260,7 +260,7 @@ class NavigatorNode(RobotNode):
 
 
 def _words(message: str) -> str:
-    """Return a message without its figures."""
+    """Return a message with its numbers removed."""
     return "".join(letter for letter in message if not letter.isdigit())
 
 

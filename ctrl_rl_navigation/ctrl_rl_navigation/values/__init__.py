@@ -1,4 +1,4 @@
-"""The time to reach a goal on a map: speeds, fast marching, the value, and its solver."""
+"""The time to reach a goal on a map: speeds, fast marching, the value function and its solver."""
 
 import lazy_loader as lazy
 

@@ -1,7 +1,7 @@
-"""Fast marching: solves |grad T| = slowness on a grid, cell after cell in the order of their times.
+"""Fast marching: solves |grad T| = slowness on a grid, cell by cell in the order of arrival times.
 
-The stencils are of second order where two known cells lie in a row, else of first order (J. A. Sethian, Fast marching
-methods, SIAM Review 41, 1999). Arrays are flat, with a border of two cells that nothing enters.
+The stencils are second-order if two known cells lie in a row, else first-order (J. A. Sethian, Fast marching methods,
+SIAM Review 41, 1999). Arrays are flat, with an impassable border of two cells.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from numba import njit
 from numpy.typing import NDArray
 
 BORDER = 2
-"""Width of the border around the map [cells]; the stencils reach that far."""
+"""Width of the border around the map [cells], given by the reach of the stencils."""
 _FAR, _KNOWN = 0, 1
 
 
 class Front(NamedTuple):
-    """State of a march.
+    """State of fast marching.
 
     Attributes:
-        times: Times to reach of the cells (cells,) [s]; inf where none is known.
-        slowness: Time to cross a cell (cells,) [s]; 0 where nothing enters.
-        known: 1 for cells whose time is final (cells,).
-        hops: Steps into the cells entered since `widen` (cells,).
-        keys: Times of a binary heap's entries (capacity,) [s].
+        times: Times to reach (cells,) [s]; inf if unknown.
+        slowness: Time to cross a cell (cells,) [s]; 0 for impassable cells.
+        known: 1 for cells with a final time (cells,).
+        hops: Number of steps from the open cells to those entered since `widen` (cells,).
+        keys: Times of the binary heap's entries (capacity,) [s].
         cells: Cells of the heap's entries (capacity,).
-        counts: Number of the heap's entries, and of the cells that are known (2,).
-        stride: Distance in memory from row to row.
+        counts: Number of heap entries, and of known cells (2,).
+        stride: Row stride in memory.
     """
 
     times: NDArray[np.float64]
@@ -43,10 +43,10 @@ class Front(NamedTuple):
 
 
 def make_front(slowness: NDArray[np.float64]) -> Front:
-    """Return a front before its first cell.
+    """Create a front before its first cell.
 
     Args:
-        slowness: Time to cross a cell (rows, columns) [s]; 0 where nothing enters.
+        slowness: Time to cross a cell (rows, columns) [s]; 0 for impassable cells.
     """
     padded = np.pad(slowness, BORDER)
     count = padded.size
@@ -101,7 +101,7 @@ def _pop(front: Any) -> int:
 
 @njit(inline="always")
 def _upwind(front: Any, cell: int, step: int) -> tuple[float, float]:
-    """Return the reference time along an axis, inf for none, and the weight of its quadratic term."""
+    """Return the upwind time along an axis, inf for none, and the weight of its quadratic term."""
     times, known = front.times, front.known
     best, side = np.inf, 0
     for sign in (-1, 1):
@@ -135,7 +135,7 @@ def _time(front: Any, cell: int) -> float:
 
 @njit(inline="always")
 def _offer(front: Any, cell: int, hops: int) -> None:
-    """Compute the time of a cell anew, and queue the cell where that is less."""
+    """Recompute the time of a cell, and queue the cell if the time decreased."""
     if front.slowness[cell] <= 0.0 or front.known[cell] == _KNOWN:
         return
     time = _time(front, cell)
@@ -175,19 +175,18 @@ def _march(front: Any, most: int, deepest: int) -> int:
 
 
 march = cached_njit(_march, nogil=True)
-"""Make up to `most` more cells known and return the length of the queue; 0: all that can be reached is known.
+"""Finalise up to `most` more cells and return the queue length; 0 means that all reachable cells are known.
 
-Of cells that were opened by `widen` only those within `deepest` steps are entered; 0 for all.
-"""
+Of the cells opened by `widen`, only those within `deepest` steps are entered; 0 for all."""
 
 
 @cached_njit
 def widen(front: Any, slowness: NDArray[np.float64]) -> None:
-    """Open further cells to a march that has come to its end, without any effect on what is known.
+    """Open further cells to a finished march, without affecting known cells.
 
     Args:
         front: State of the march.
-        slowness: Time to cross a cell (cells,) [s]; cells that are known keep theirs.
+        slowness: Time to cross a cell (cells,) [s]; known cells keep theirs.
     """
     for cell in range(slowness.size):
         if front.known[cell] != _KNOWN:

@@ -1,4 +1,4 @@
-"""Solves the time to reach a goal on a map: speeds by the clearance, then fast marching from the goal."""
+"""Solves the time to reach a goal on a map: speeds from the clearance, then fast marching from the goal."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from ctrl_rl_navigation.values.fast_marching import BORDER, Front, make_front, m
 from ctrl_rl_navigation.values.map_value import MapValue
 
 SLOWEST = 0.6
-"""Share of the full speed beside an obstacle, which makes ways through the open a bit dearer than they are long."""
+"""Fraction of the full speed next to an obstacle, which makes paths prefer open space slightly."""
 EASE = 0.2
-"""Additional clearance from which on the speed is full [m]."""
+"""Additional clearance for full speed [m]."""
 _BAND = 0.35
-"""Depth to which places too near to an obstacle have a time as well [m]: a pose with an error may lie there."""
+"""Depth of the band near obstacles that still has a time [m], because a pose with errors may lie there."""
 _BURIED = 0.1
-"""Depth to which even places inside of an obstacle have one [m]."""
+"""Depth inside obstacles that still has a time [m]."""
 _BAND_SPEED = 0.1
-"""Share of the full speed there, so that each of them leads back into the open."""
+"""Fraction of the full speed in that band, so that every path leads back to open space."""
 _EXACT = 3.0
-"""Width of the ring around the goal's disc whose times are set exactly [cells]."""
+"""Width of the ring around the goal disc with exact times [cells]."""
 _CHUNK = 20_000
-"""Cells between two looks at whether the work is still wanted."""
+"""Number of cells between checks whether the result is still needed."""
 
 Array = NDArray[np.float64]
 Report = Callable[[float], None]
 
 
 def longest_time_beside(distance: float, limits: DriveLimits) -> float:
-    """Return the time to reach [s] from which on a place so far from a goal [m] must lie behind a wall."""
+    """Return the time to reach [s] above which a place at this distance from a goal [m] must lie behind a wall."""
     return distance / (_BAND_SPEED * limits.speed)
 
 
 class CancelledError(Exception):
-    """The value is not wanted any more."""
+    """The value is no longer needed."""
 
 
 class MapSolver:
-    """Times to reach on one map for one robot.
+    """Solves times to reach on one map for one robot.
 
     Attributes:
-        map: Map that is solved on.
+        map: Map with the obstacles.
         limits: Size and speed of the robot.
-        clearance: Distances to obstacles of the map at its cells (rows, columns) [m].
+        clearance: Distances from the cells to the map's obstacles (rows, columns) [m].
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class MapSolver:
         ease: float = EASE,
         unknown_is_free: bool = False,
     ) -> None:
-        """Prepare what all goals share.
+        """Precompute the data shared by all goals.
 
         Args:
             map_: Map with the obstacles.
             limits: Size and speed of the robot.
-            slowest: Share of the full speed beside an obstacle; 1.0 for the shortest time.
-            ease: Additional clearance from which on the speed is full [m].
-            unknown_is_free: Whether unknown cells and all that lies off the map may be driven through.
+            slowest: Fraction of the full speed next to an obstacle; 1.0 for the shortest time.
+            ease: Additional clearance for full speed [m].
+            unknown_is_free: Whether unknown cells and the space outside the map are drivable.
         """
         self.map, self.limits, self._slowest, self._ease = map_, limits, slowest, ease
         self.clearance = map_.clearance(unknown_is_free)
@@ -81,19 +81,19 @@ class MapSolver:
         wanted: Callable[[], bool] | None = None,
         widest: float = 0.0,
     ) -> MapValue:
-        """Return the time to reach a disc.
+        """Solve the time to reach a disc.
 
         Args:
-            goal: Middle of the disc [m].
+            goal: Centre of the disc [m].
             radius: Radius of the disc [m].
-            obstacles: Places of obstacles that the map has not (n, 2) [m].
-            report: Takes the share of the cells that is done, 0 to 1.
-            wanted: Tells whether the value is still wanted.
-            widest: Radius of the disc that is taken where no place of the first one has room for the robot [m].
+            obstacles: Positions of unmapped obstacles (n, 2) [m].
+            report: Called with the completed fraction, 0 to 1.
+            wanted: Returns whether the value is still needed.
+            widest: Radius of the disc used if the first one has no room for the robot [m].
 
         Raises:
-            NavigationError: The goal lies off the map, or no place of the disc has room for the robot.
-            CancelledError: The value is not wanted any more.
+            NavigationError: The goal is outside the map, or the disc has no room for the robot.
+            CancelledError: The value is no longer needed.
         """
         begin = time.monotonic()
         clearance = self.clearance if obstacles is None else self._with_obstacles(obstacles)
@@ -120,7 +120,7 @@ class MapSolver:
         return np.asarray(self.map.resolution / speed, np.float64)
 
     def _with_obstacles(self, points: Array) -> NDArray[np.float32]:
-        """Return the clearance with more obstacles; only the cells near them change."""
+        """Return the clearance with additional obstacles; only nearby cells change."""
         out = self.clearance.copy()
         reach = self.limits.room + self._ease
         cells = math.ceil(reach / self.map.resolution)
@@ -140,10 +140,10 @@ class MapSolver:
     def _around(
         self, goal: tuple[float, float], radius: float, clearance: NDArray[np.float32], open_: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Return rows, columns and distances [m] of the cells around a goal with room for the robot, in its sight.
+        """Return rows, columns and distances [m] of the cells around a goal, visible from it, with room for the robot.
 
         Raises:
-            NavigationError: The goal lies off the map, or no such cell lies within the radius.
+            NavigationError: The goal is outside the map, or there is no such cell within the radius.
         """
         row, column = self.map.to_grid(goal)
         height, width = open_.shape
@@ -171,7 +171,7 @@ class MapSolver:
     def _seeds(
         self, front: Front, places: tuple[NDArray[np.intp], NDArray[np.intp], Array], radius: float
     ) -> tuple[NDArray[np.int64], Array]:
-        """Return the cells in and close around the disc, and their exact times [s]."""
+        """Return the cells in and close to the disc, and their exact times [s]."""
         rows, columns, distance = places
         near = distance <= radius + _EXACT * self.map.resolution
         cells = ((rows + BORDER) * front.stride + columns + BORDER)[near]

@@ -1,4 +1,4 @@
-"""The time to reach a goal at each place of a map, with its gradient and the path that follows it."""
+"""The time to reach a goal from each point of a map, with gradient and descent path."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ Array = NDArray[np.float64]
 Times = NDArray[np.float32]
 
 _STEP = 0.5
-"""Length of a path's steps [cells]."""
+"""Step length of a path [cells]."""
 
 
 @njit(inline="always")
 def value_and_slopes(times: Any, row: float, column: float) -> tuple[float, float, float]:
-    """Return the time at a place given in cells, and its slopes along rows and columns [s/cell].
+    """Return the time at a point given in cells, and its slopes along rows and columns [s/cell].
 
-    The four cells around the place are interpolated; those without a time do not count. The time is inf where none of
-    them has one.
+    The four surrounding cells are interpolated, ignoring cells without a time; inf if none has a time.
     """
     height, width = times.shape
     low, left = math.floor(row), math.floor(column)
@@ -56,7 +55,7 @@ def value_and_slopes(times: Any, row: float, column: float) -> tuple[float, floa
 
 @cached_njit
 def _values(times: Times, places: Array, out: Array) -> None:
-    """Fill time and slopes (n, 3) at places (n, 2) in cells."""
+    """Fill in time and slopes (n, 3) at points (n, 2) in cells."""
     for i in range(len(places)):
         out[i, 0], out[i, 1], out[i, 2] = value_and_slopes(times, places[i, 0], places[i, 1])
 
@@ -75,7 +74,7 @@ def _lowest_neighbour(times: Any, row: float, column: float) -> tuple[float, flo
 
 @cached_njit
 def _descend(times: Times, row: float, column: float, out: Array) -> int:
-    """Fill the places (n, 2) in cells of the steepest descent and return their number."""
+    """Fill in the points (n, 2) in cells of the steepest descent and return their number."""
     value, _, _ = value_and_slopes(times, row, column)
     count = 0
     while count < len(out):
@@ -100,14 +99,14 @@ def _descend(times: Times, row: float, column: float, out: Array) -> int:
 
 @dataclass(frozen=True, eq=False)
 class MapValue:
-    """The time to reach a goal on a map; it serves as the suite's other value functions do.
+    """The time to reach a goal on a map, usable like the suite's other value functions.
 
     Attributes:
-        times: Times at the middles of the cells (rows, columns) [s]; inf where the goal cannot be reached.
-        map: Map whose geometry the cells have.
-        goal: Position of the goal in the map's frame (2,) [m].
+        times: Times at the cell centres (rows, columns) [s]; inf where the goal is unreachable.
+        map: Map with the same geometry.
+        goal: Position of the goal in the map frame (2,) [m].
         radius: Distance from the goal at which the time is zero [m].
-        seconds: Duration of the solving [s].
+        seconds: Duration of the solve [s].
     """
 
     times: Times
@@ -119,11 +118,11 @@ class MapValue:
     state_names = ("x", "y")
 
     def value(self, states: ArrayLike) -> Array:
-        """Return the times (...) at places (..., 2) [m]: NaN off the map, inf where the goal cannot be reached."""
+        """Return the times (...) at points (..., 2) [m]: NaN off the map, inf where the goal is unreachable."""
         return self.value_and_gradient(states)[0]
 
     def value_and_gradient(self, states: ArrayLike) -> tuple[Array, Array]:
-        """Return times (...) [s] and gradients (..., 2) [s/m] at places (..., 2) [m]."""
+        """Return times (...) [s] and gradients (..., 2) [s/m] at points (..., 2) [m]."""
         points = np.asarray(states, np.float64)
         places = self.map.to_grid(points).reshape(-1, 2)
         finite = np.isfinite(places).all(axis=1)
@@ -139,11 +138,11 @@ class MapValue:
         return out[:, 0].reshape(points.shape[:-1]), gradient.reshape(points.shape)
 
     def path(self, start: ArrayLike, longest: int = 20_000) -> Array:
-        """Return the places (n, 2) of the steepest descent from a start (2,) [m]; a single one where there is no way.
+        """Return the points (n, 2) of the steepest descent from a start (2,) [m]; a single point if there is no path.
 
         Args:
-            start: First place of the path [m].
-            longest: Largest number of places.
+            start: First point of the path [m].
+            longest: Maximum number of points.
         """
         row, column = self.map.to_grid(start)
         places = np.empty((longest, 2))
