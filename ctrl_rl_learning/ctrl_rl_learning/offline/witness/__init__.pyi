@@ -1,0 +1,9 @@
+from .account import Account as Account
+from .account import examine as examine
+from .bag_map import MapFromBag as MapFromBag
+from .bag_map import map_from_record as map_from_record
+from .bag_map import task_with_map as task_with_map
+from .picture import draw_account as draw_account
+from .places import Place as Place
+from .record import DriveRecord as DriveRecord
+from .record import Witness as Witness

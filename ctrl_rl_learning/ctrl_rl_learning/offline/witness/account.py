@@ -1,0 +1,156 @@
+"""What recorded drives say against a task's file: lines to tell, and whether its walls may be learnt and judged by.
+
+account = examine(witness.record(), task)
+account.lines        # each difference in one line
+account.refusal      # why nothing may be learnt by value or judged by roll-outs; empty where it may
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_core import NavigationTask
+from ctrl_rl_learning.offline.witness.beams import LONGER, SHORTER, Beams, FileWalls, compare
+from ctrl_rl_learning.offline.witness.limits import (
+    commands_beyond,
+    faster_than_robot,
+    many_inside,
+    states_inside,
+)
+from ctrl_rl_learning.offline.witness.offset import Offset, fit_offset
+from ctrl_rl_learning.offline.witness.places import Place, find_places
+from ctrl_rl_learning.offline.witness.record import DriveRecord
+
+Array = NDArray[np.float64]
+_WORTH_A_FIT = 0.01
+"""Share of differing beams from which on an offset is looked for."""
+_EXPLAINED = 0.5
+"""Share of the differing beams that an offset must leave at most to count as one."""
+_TOLD_SHIFT, _TOLD_TURN = 0.05, math.radians(1.5)
+_REFUSED_SHIFT, _REFUSED_TURN = 0.10, math.radians(3.0)
+_REFUSED_BEAMS, _REFUSED_OFF = 20, 0.08
+"""Number of beams that must show a place, and distance from the file's wall [m], to refuse the file."""
+_CORNER = 0.12
+"""Extent of a missing wall below which it is taken for a corner that beams just miss [m]."""
+_MOST_PLACES = 8
+
+
+@dataclass(frozen=True)
+class Account:
+    """What recorded drives say against a task's file.
+
+    Attributes:
+        task: Task whose file it is.
+        beams: The beams with their votes, at poses freed of the offset; None where walls cannot be compared.
+        differing: Share of the beams that differ from the file, at the recorded poses.
+        offset: Shift and turn of the recorded poses that explains most of it; None for none.
+        places: Places at which walls differ, and where something moved.
+        paths: Recorded places of each episode (n, 2) [m].
+        notes: Other differences, a line each.
+        impossible: Those of them after which nothing in the task's model holds.
+    """
+
+    task: NavigationTask
+    beams: Beams | None
+    differing: float
+    offset: Offset | None
+    places: tuple[Place, ...]
+    paths: tuple[Array, ...]
+    notes: tuple[str, ...]
+    impossible: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """Each difference in one line, the gravest first."""
+        out = list(self.impossible)
+        if self.offset is not None:
+            out.append(f"the poses lie off the file's frame: moving them by {self.offset} explains most differences")
+        walls = [place for place in self.places if place.kind != "mover"]
+        if walls and self.beams is not None:
+            out.append(f"{self.differing:.1%} of {len(self.beams):,} beams differ from the walls of the task's file")
+        out += [str(place) for place in walls[:_MOST_PLACES]]
+        if len(walls) > _MOST_PLACES:
+            out.append(f"walls differ at {len(walls) - _MOST_PLACES} more places")
+        movers = [place for place in self.places if place.kind == "mover"]
+        if movers and not self.task.movers:
+            out += [f"{movers[0]}" + (f", and at {len(movers) - 1} more places" if len(movers) > 1 else "")]
+        return [*out, *self.notes]
+
+    @property
+    def moved_walls(self) -> list[Place]:
+        """Places at which walls differ too much to be believed."""
+        return [
+            place
+            for place in self.places
+            if place.kind != "mover"
+            and place.beams >= _REFUSED_BEAMS
+            and place.off >= _REFUSED_OFF
+            and not _is_corner(place)
+        ]
+
+    @property
+    def refusal(self) -> str:
+        """Why nothing may be learnt by value or judged by roll-outs, and what to do; empty where it may."""
+        name = self.task.name
+        if self.moved_walls:
+            return (
+                f"the bags show other walls than the file of task '{name}': take them from the bags by --map-from-bag,"
+                " or fix the file"
+            )
+        if self.offset is not None and (self.offset.size >= _REFUSED_SHIFT or abs(self.offset.turn) >= _REFUSED_TURN):
+            return (
+                f"the bags' poses are not in the frame of task '{name}': correct the localisation's start, or move the"
+                f" file's walls, start and goal by {self.offset.inverse()}"
+            )
+        if self.impossible:
+            return (
+                f"the bags are not of task '{name}' and its robot: {self.impossible[0]}; name theirs, or fix the file"
+            )
+        return ""
+
+
+def examine(record: DriveRecord, task: NavigationTask) -> Account:
+    """Compare what drives saw and did with a task's file.
+
+    Walls are compared on the floor only, and not where a task draws them for each episode.
+    """
+    notes, impossible = [*commands_beyond(record, task)], [*faster_than_robot(record, task)]
+    paths = tuple(_paths(record))
+    if task.plane != "xy" or not record.sightings:
+        return Account(task, None, 0.0, None, (), paths, tuple(notes), tuple(impossible))
+    if task.doorways is not None:
+        notes.append("each episode has doorways of its own: the walls are not compared")
+        return Account(task, None, 0.0, None, (), paths, tuple(notes), tuple(impossible))
+    beams = compare(record.sightings, task)
+    differing, offset = beams.differing, None
+    if differing > _WORTH_A_FIT:
+        found = fit_offset(record.sightings, FileWalls(task))
+        moved = compare([found.moved(seen) for seen in record.sightings], task)
+        if moved.differing <= _EXPLAINED * differing:
+            beams = moved
+            if found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN:
+                offset = found
+    inside, count = states_inside(record, task)
+    if many_inside(inside, count) and offset is None:
+        impossible.append(f"{inside} of {count} recorded states lie inside what the file calls a collision")
+    places = find_places(beams, task.build_world())
+    return Account(task, beams, differing, offset, places, paths, tuple(notes), tuple(impossible))
+
+
+def _is_corner(place: Place) -> bool:
+    """Return whether a place may be a corner of the file's wall that beams miss by an error of the pose."""
+    return place.kind == "missing" and max(place.size) < _CORNER
+
+
+def contradicting(beams: Beams) -> tuple[Array, Array]:
+    """Return where beams ended that are too short (n, 2), and where the file has walls that beams pass (m, 2) [m]."""
+    shorter, longer = beams.rows(beams.votes == SHORTER), beams.rows(beams.votes == LONGER)
+    return shorter.ends, longer.expected_ends
+
+
+def _paths(record: DriveRecord) -> list[Array]:
+    return [seen.poses[seen.episodes == number, :2] for seen in record.sightings for number in np.unique(seen.episodes)]

@@ -1,0 +1,123 @@
+"""An occupancy map from the scans of recorded drives at their poses, which becomes the world of a task.
+
+What the bag saw decides, by log-odds; what it never saw is as the task's file says, and a wall where it lies behind a
+wall that the file does not have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from ctrl_rl_core.io import read_yaml
+from ctrl_rl_core.navigation import FREE, OCCUPIED
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_dilation, label
+from sim_bridge.simulation import draw_map
+
+from ctrl_rl_core import NavigationTask, OccupancyMap, atomic_write, task_file
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.witness.beams import compare
+from ctrl_rl_learning.offline.witness.cells import Cells
+from ctrl_rl_learning.offline.witness.record import DriveRecord
+
+_HIT, _PASS = 0.85, -0.4
+"""Log-odds of a wall for a beam that ends in a cell, and for one that passes through it."""
+_REFUTED, _FEWEST_SEEN = 0.3, 10
+"""Share of the seen cells of a file's obstacle that must be free for it to be gone, and their least number."""
+_EIGHT = np.ones((3, 3), np.bool_)
+_LEFT_OUT = ("arena", "corridor", "obstacles", "doorways", "map")
+
+
+@dataclass(frozen=True)
+class MapFromBag:
+    """A map from scans.
+
+    Attributes:
+        map: Free and occupied cells.
+        seen: Share of its cells that a beam met.
+        changed: Number of cells in which it differs from the file.
+    """
+
+    map: OccupancyMap
+    seen: float
+    changed: int
+
+
+def map_from_record(record: DriveRecord, task: NavigationTask) -> MapFromBag:
+    """Return the map of what drives of a task saw, over the area of its file."""
+    file = draw_map(task, task.build_world())
+    grid = Cells(np.array(file.origin[:2]), file.resolution, (file.cells.shape[0], file.cells.shape[1]))
+    beams = compare(record.sightings, task)
+    echoes = beams.rows(beams.echoes)
+    # What ended off the grid would count for the cells at its edge.
+    inside = ((echoes.ends > grid.corner) & (echoes.ends < grid.corner + np.array(file.size))).all(axis=1)
+    hits, passes = grid.count(echoes.ends[inside]), grid.passes(beams)
+    odds = _HIT * hits + _PASS * passes
+    seen = (hits + passes) > 0
+    walls = file.cells == OCCUPIED
+    occupied = seen & (odds > 0.0)
+    free = seen & ~occupied
+    occupied |= ~seen & walls & ~_refuted(walls, free, seen)
+    occupied |= _behind_new_walls(occupied, free, walls)
+    cells = np.where(occupied, OCCUPIED, FREE).astype(np.int8)
+    changed = int((occupied != walls).sum())
+    return MapFromBag(OccupancyMap(cells, file.resolution, file.origin), float(seen.mean()), changed)
+
+
+def _refuted(walls: NDArray[np.bool_], free: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the cells of the file's walls of which much is seen free: what of them nobody saw is gone, too."""
+    names, count = label(walls, _EIGHT)
+    every = np.bincount(names[seen & walls], minlength=count + 1)
+    gone = np.bincount(names[free & walls], minlength=count + 1)
+    refuted = (every >= _FEWEST_SEEN) & (gone >= _REFUTED * every)
+    refuted[0] = False
+    return np.asarray(refuted[names])
+
+
+def _behind_new_walls(
+    occupied: NDArray[np.bool_], free: NDArray[np.bool_], walls: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return cells that nobody saw and that lie behind a wall which the file does not have; its gaps are closed."""
+    new = occupied & ~binary_dilation(walls, iterations=2)
+    closed = binary_closing(new, _EIGHT, iterations=2) & ~free
+    hidden = ~occupied & ~closed & ~free & ~binary_dilation(free, _EIGHT)
+    names, _ = label(hidden)
+    touched = np.unique(names[binary_dilation(new | closed, _EIGHT, iterations=2) & hidden])
+    return np.asarray(closed | np.isin(names, touched[touched > 0]))
+
+
+def task_with_map(record: DriveRecord, task: NavigationTask, source: str, folder: Path, bags: str) -> Path:
+    """Write a task whose world is the map of recorded drives, and that map, into a folder; return the task's file.
+
+    Args:
+        record: What the drives saw.
+        task: Task whose start, goal, robot and rewards it keeps.
+        source: Name or file of that task.
+        folder: Folder of the two files.
+        bags: Names of the bags, for the file's `source`.
+
+    Raises:
+        LearningError: The task's start and goal are stretches of a corridor, or nothing on the floor was seen.
+        OSError: A file cannot be written.
+    """
+    if task.corridor is not None:
+        raise LearningError(
+            f"--map-from-bag: start and goal of task '{task.name}' are stretches of its corridor, of which a map knows "
+            "none: fix 'corridor' in its file"
+        )
+    if task.plane != "xy" or not record.sightings:
+        raise LearningError(f"--map-from-bag: the bags of task '{task.name}' show no walls on a floor")
+    name = task.name if task.name.endswith("_map") else f"{task.name}_map"
+    folder.mkdir(parents=True, exist_ok=True)
+    found = map_from_record(record, task)
+    found.map.save(folder / f"{name}_walls.yaml")
+    content: dict[str, Any] = {key: part for key, part in read_yaml(task_file(source)).items() if key not in _LEFT_OUT}
+    content["name"], content["map"] = name, {"file": f"{name}_walls.yaml"}
+    content["source"] = f"{task.source}; its walls by the scans of {bags}"
+    content["robot"] = {**content["robot"], "body": task.robot.body}  # a file of one's own by its whole path
+    atomic_write(folder / f"{name}.yaml", yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120))
+    return task_file(folder / f"{name}.yaml")
