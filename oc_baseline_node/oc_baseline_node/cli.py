@@ -1,9 +1,9 @@
-"""`ros2 run oc_baseline_node oc`: from a task to its optimal control values, step by step.
+"""The command `ros2 run oc_baseline_node oc`: computes the optimal control values of a task, step by step.
 
-oc extract car_navigation                       the optimal control problem, and why it is the one
+oc extract car_navigation                       the optimal control problem, and the reasons for it
 oc solve car_navigation --output one.png        one trajectory
-oc data car_navigation --output runs/car        hundreds of them, in parallel; run it again after a kill
-oc fit runs/car --output runs/car.safetensors   V_oc as a network, and as a grid where asked
+oc data car_navigation --output runs/car        hundreds of trajectories, in parallel; resumable
+oc fit runs/car --output runs/car.safetensors   V_oc as a network, and optionally as a grid
 oc map runs/car.safetensors --output map.png    its heat map
 """
 
@@ -75,7 +75,7 @@ _Settings = Annotated[tuple[tuple[str, float], ...], checked_list(_setting, "NAM
 
 @dataclass(frozen=True)
 class Extract:
-    """Show the optimal control problem of a task, and the models that do not suit it."""
+    """Show the optimal control problem of a task, and the rejected models."""
 
     task: _Task
     """Name of a task of the suite (car_navigation, curved_corridor ...), or its file."""
@@ -97,12 +97,12 @@ class Solve(Extract):
     solver: Literal["ipopt", "fatrop"] | None = None
     """The only solver to try; by default fatrop, then ipopt."""
     output: Path | None = None
-    """Picture to write; by default none."""
+    """Figure to write; none by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Data(Extract):
-    """Solve many trajectories from random starts; after an interruption, call it again to continue."""
+    """Solve many trajectories from random starts; an interrupted call can be repeated to continue."""
 
     output: Path
     """Folder of the data, with one file per chunk of trajectories."""
@@ -111,9 +111,9 @@ class Data(Extract):
     seed: NotNegative = 0
     """Seed of the random starts."""
     workers: Positive = os.cpu_count() or 1
-    """Number of processes."""
+    """Number of worker processes."""
     ray: str | None = None
-    """Address of a Ray cluster, auto for this machine's; by default processes of this machine."""
+    """Address of a Ray cluster, auto for the one on this machine; local processes by default."""
 
 
 @dataclass(frozen=True)
@@ -121,17 +121,17 @@ class Fit:
     """Fit V_oc, a 64 x 64 tanh network, to value data."""
 
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-    """Folder that 'oc data' made."""
+    """Folder written by 'oc data'."""
     output: Path
     """Network to write (.safetensors)."""
     task: str | None = None
-    """Task file, where the task is not one of the suite's."""
+    """Task file, if the task is not one of the suite's."""
     grid: Path | None = None
-    """Value grid to write as well (.safetensors)."""
+    """Value grid to write in addition (.safetensors)."""
     discount: Annotated[float | None, checked(_discount, "FRACTION")] = None
-    """Discount of a policy's step; the task's where none is given."""
+    """Discount per policy step; the task's by default."""
     whole_horizon: bool = False
-    """Sum Eq. 3.13 on after arrival, to the end of the horizon."""
+    """Sum Eq. 3.13 beyond arrival, to the end of the horizon."""
     epochs: Positive = 200
     """Number of passes over the data."""
     seed: NotNegative = 0
@@ -144,16 +144,16 @@ class Fit:
 
 @dataclass(frozen=True)
 class Map:
-    """Draw a value's heat map (thesis Fig. 3.11)."""
+    """Draw the heat map of a value function (thesis Fig. 3.11)."""
 
     value: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-    """File of a network or a value grid, or the task of a network that comes with the package."""
+    """File of a network or a value grid, or the task of a shipped network."""
     output: Path
-    """Picture to write."""
+    """Figure to write."""
     task: str | None = None
-    """Task file, where the task is not one of the suite's."""
+    """Task file, if the task is not one of the suite's."""
     at: _Settings = ()
-    """Values of the other state components; 0 for those left out."""
+    """Values of the other state components; 0 by default."""
 
 
 _Command: Any = (
@@ -166,7 +166,7 @@ _Command: Any = (
 
 
 def _terms(options: Extract) -> tuple[NavigationTask, Form, float | None]:
-    """Return the task, form and clearance that a problem is formulated from."""
+    """Return the task, form and clearance of the problem to formulate."""
     task = load_navigation_task(options.task)
     require("oc_baseline_node oc data", task)
     return task, options.form, options.clearance

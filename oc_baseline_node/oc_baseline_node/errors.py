@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class OcError(CtrlRlError):
-    """Task, data, fit or file do not allow what was asked for; the message says why and what to do."""
+    """Task, data, fit or file do not allow the request; the message gives the reason and the remedy."""

@@ -1,4 +1,4 @@
-"""The baseline node: odometry in, optimal control value out."""
+"""The baseline node: receives odometry, publishes the optimal control value."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from oc_baseline_node.values.value_file import find_value, load_value, shipped_v
 
 
 def _with_names(parameter: Parameter) -> Parameter:
-    """Return the parameter, `grid` with the names that it takes as well as files."""
+    """Return the parameter, accepting for `grid` the names of shipped networks as well as files."""
     if parameter.name != "grid":
         return parameter
     names = ", ".join(shipped_values())
@@ -33,7 +33,7 @@ class OcBaselineNode(ValueServer):
     """Serves an optimal control value function V_oc (thesis Eq. 3.13), a baseline for policy gradients.
 
     Subscribes to odom; publishes oc_value for each message, ~/grid and ~/slice latched; answers ~/query and ~/reload.
-    The file is a network that `oc fit` wrote, or a value grid; networks that come with the package go by their task.
+    The file is a network written by `oc fit`, or a value grid; shipped networks are named by their task.
     """
 
     TOPIC = "oc_value"
@@ -49,14 +49,14 @@ class OcBaselineNode(ValueServer):
         super().__init__("oc_baseline_node")
 
     def read(self, path: Path) -> ValueFunction:
-        """Read a network or a value grid: a file, or by task one that comes with the package."""
+        """Load a network or a value grid from a file, or a shipped network by task."""
         return load_value(find_value(path))
 
     def prepare(self, function: ValueFunction) -> Valued:
-        """Warn of a value made for another version of its task; return a function that publishes nothing more.
+        """Warn if a value was made for another version of its task; return a function that publishes nothing more.
 
         Raises:
-            CtrlRlError: there is no such task, or the function is of another one.
+            CtrlRlError: The task does not exist, or the function belongs to another one.
         """
         given = self.settings["task"]
         # A task that is none of the suite's is known by its file alone.

@@ -22,19 +22,19 @@ def draw_heat_map(
 ) -> Array:
     """Draw V_oc over the plane of positions (Fig. 3.11); return its values (cells, cells), rows along y or z.
 
-    Colours span the values of free space; collisions are hatched.
+    Colours span the values in free space; collisions are hatched.
 
     Args:
         value: Value function over the states of the task's system.
         task: Task with the arena, goal and obstacles to draw.
-        path: File of the picture, PNG.
-        at: Values of the other state components in their units; 0 where omitted.
+        path: PNG file to write.
+        at: Values of the other state components in their units; 0 by default.
         cells: Number of cells along each side of the map.
 
     Raises:
         OcError: The value has other states than the task.
         ValueFunctionError: `at` names an unknown state component.
-        OSError: The picture cannot be written.
+        OSError: The figure cannot be written.
     """
     plane, chosen = plane_of(value), dict(at or {})
     if value.state_names != task.system.build().state_names:

@@ -1,4 +1,4 @@
-"""Values and derivatives of a nonlinear program as arrays, and which of them are not finite."""
+"""Values and derivatives of a nonlinear program as arrays, with checks that they are finite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Compiled:
-    """A CasADi function evaluated into arrays, without a copy.
+    """A CasADi function that writes its results to arrays without copying.
 
     Args:
         function: Function of dense arguments.
@@ -46,11 +46,11 @@ class Compiled:
 
 
 class Derivatives:
-    """Derivatives of one program, by its solver's functions.
+    """Derivatives of a program, from its solver's functions.
 
     Attributes:
         cost: Cost (variables, start).
-        gradient: Its gradient (variables, start).
+        gradient: Gradient of the cost (variables, start).
         jacobian: Constraints and their Jacobian (variables, start).
         hessian: Hessian of the Lagrangian (variables, start, 1, multipliers).
     """
@@ -64,7 +64,7 @@ class Derivatives:
         self.hessian = Compiled(hessian, hessian.n_out() - 1)
 
     def trouble(self, variables: Array, start: Array) -> str:
-        """Name a value or derivative that is not finite at a point; empty if there is none."""
+        """Describe a non-finite value or derivative at a point; empty if there is none."""
         g, jacobian = self.jacobian(variables, start)
         (gradient,) = self.gradient(variables, start)
         (hessian,) = self.hessian(variables, start, np.ones(1), np.ones(len(g)))
@@ -87,7 +87,7 @@ class Derivatives:
         return ""
 
     def _words(self, value: float, row: int | None, column: int | None, second: bool) -> str:
-        """Name what is not finite: a constraint's value, or the derivative of a constraint or the cost."""
+        """Describe the non-finite quantity: a constraint's value, or the derivative of a constraint or the cost."""
         of = "the cost" if row is None else self._constraint(row)
         if second:
             of = "the Lagrangian"
@@ -114,7 +114,7 @@ class Derivatives:
 
 
 def undefined_start(problem: OptimalControlProblem, start: Array) -> str:
-    """Name a rate of the model without a value in a start (n,), for any control; empty if there is none."""
+    """Describe a rate of the model that is undefined at a start (n,) for any control; empty if there is none."""
     system = problem.system
     low, high = system.control_bounds
     controls = np.vstack((0.5 * (low + high), low, high, np.clip(0.0, low, high), low + 0.3 * (high - low)))
@@ -129,7 +129,7 @@ def undefined_start(problem: OptimalControlProblem, start: Array) -> str:
 
 
 def singular_derivative(problem: OptimalControlProblem, start: Array) -> str:
-    """Name a derivative of the model that is not finite in a start (n,); empty if there is none."""
+    """Describe a derivative of the model that is not finite at a start (n,); empty if there is none."""
     system = problem.system
     x, u = casadi.SX.sym("x", len(system.states)), casadi.SX.sym("u", len(system.controls))
     by_state = casadi.Function("f_x", [x, u], [casadi.jacobian(system.dynamics(x, u, math=casadi), x)])

@@ -1,4 +1,4 @@
-"""Initial guesses of the solvers: a line to the goal, straight or round obstacles, or a shifted trajectory."""
+"""Initial guesses for the solvers: a line to the goal, straight or around obstacles, or a shifted trajectory."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 _SPACING = 0.1
 """Spacing of the planner's nodes [m]."""
 _ROOM, _TIGHT_PENALTY = 0.15, 4.0
-"""A hop whose ends have less room beyond d_min [m] than this counts as longer, by up to this factor plus one: solvers
-keep a little more than d_min, and improve a path through the middle of a door more easily."""
+"""Clearance beyond d_min [m] below which a hop counts as longer, and the maximum relative penalty: solvers keep
+slightly more than d_min, and a path through the middle of a door is easier to improve."""
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 """Neighbours of a node, without the opposite ones."""
 
 
 class ShortestPathPlanner:
-    """Shortest paths to a problem's goal that keep d_min, over a grid of positions.
+    """Finds shortest paths to a problem's goal that keep d_min, on a grid of positions.
 
     Args:
         problem: Optimal control problem with bounded positions.
@@ -42,7 +42,7 @@ class ShortestPathPlanner:
         self._reached, self._next = np.isfinite(lengths[0]), before[0]
 
     def is_straight(self, position: Array) -> bool:
-        """Whether the straight line from a position (2,) to the goal keeps d_min."""
+        """Return whether the straight line from a position (2,) to the goal keeps d_min."""
         goal = np.array(self._problem.goal)
         count = max(2, round(np.hypot(*(goal - position)) / (0.25 * _SPACING)))
         return bool(
@@ -75,7 +75,7 @@ class ShortestPathPlanner:
 
 
 def _graph(points: Array, room: Array, shape: tuple[int, int]) -> csr_array:
-    """Return the weighted lengths of hops between nodes (N, 2) with room (N,) [m]."""
+    """Return the weighted lengths of hops between nodes (N, 2) with clearance (N,) [m]."""
     free = room >= -1e-9
     index = np.arange(len(points)).reshape(shape)
     rows, columns = [], []
@@ -94,14 +94,14 @@ def _graph(points: Array, room: Array, shape: tuple[int, int]) -> csr_array:
 
 
 _SMOOTH = 9
-"""Number of points over which to average a path's direction, because the path runs on a lattice."""
+"""Number of points over which a path's direction is averaged, because the path runs on a lattice."""
 
 
 class InitialGuesses:
     """Initial guesses for one problem.
 
     Args:
-        problem: Optimal control problem to be solved.
+        problem: Optimal control problem to solve.
     """
 
     def __init__(self, problem: OptimalControlProblem) -> None:
@@ -109,11 +109,11 @@ class InitialGuesses:
         self._planner = ShortestPathPlanner(problem) if problem.obstacles else None
 
     def __call__(self, start: Array) -> list[tuple[Array, Array]]:
-        """Return states (H+1, n) and controls (H, m) to begin with from `start` (n,), the likeliest first.
+        """Return initial states (H+1, n) and controls (H, m) from `start` (n,), the most promising guess first.
 
-        It is a straight line to the goal, preceded by a path round an obstacle in the way. With a free time step a car
-        that arrives sooner forwards than backwards drives along the line: from a guess at rest that faces away, a
-        solver would drive backwards, however long that takes.
+        The guess is a straight line to the goal, preceded by a path around any obstacle in the way. With a free time
+        step, a car that arrives sooner forwards than backwards drives along the line: from a guess at rest facing away,
+        a solver would drive backwards, even if that takes longer.
         """
         count = self._problem.horizon + 1
         position = start[self._problem.positions]
@@ -130,7 +130,7 @@ class InitialGuesses:
 
 
 def straight_line_guess(problem: OptimalControlProblem, start: Array, line: Array) -> tuple[Array, Array]:
-    """Return states (H+1, n) that slide along `line` (H+1, 2) with decaying rates, and controls at rest (H, m)."""
+    """Return states (H+1, n) that move along `line` (H+1, 2) with decaying rates, and controls at rest (H, m)."""
     names, H = problem.system.state_names, problem.horizon
     states = np.tile(start, (H + 1, 1))
     states[:, problem.positions] = line
@@ -156,12 +156,12 @@ def path_following_guess(problem: OptimalControlProblem, start: Array, line: Arr
 
 
 def _is_car(system: System) -> bool:
-    """Whether the controls are the speed and the turn rate of a heading."""
+    """Return whether the controls are the speed and the turn rate of a heading."""
     return "theta" in system.state_names and system.control_names == ("v", "omega")
 
 
 def _is_sooner_forwards(system: System, start: Array, line: Array) -> bool:
-    """Whether a car reaches the end of a straight line (H+1, 2) sooner forwards, counting its turn on the spot."""
+    """Return whether a car reaches the end of a straight line (H+1, 2) sooner forwards, including its turn in place."""
     if not _is_car(system):
         return False
     (back, _), (ahead, turn) = system.control_bounds

@@ -1,7 +1,7 @@
-"""Runs a solver in its own process, which the kernel ends at a limit of CPU time.
+"""Runs a solver in its own process, which the kernel terminates at a CPU time limit.
 
-An interior point may loop in its own code without calling back, as fatrop does if a derivative is NaN; Python then gets
-no signal.
+An interior-point solver may loop in its own code without calling back, as fatrop does if a derivative is NaN; Python
+signal handlers then never run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _WAIT = 10.0
-"""Maximum wall time per second of CPU time on a busy machine, after which the process is ended too."""
+"""Maximum wall time per second of CPU time on a busy machine; beyond it the process is terminated too."""
 _seconds_elsewhere = 0.0
 
 
@@ -35,7 +35,7 @@ class Answer:
         success: Whether the solver reports success.
         status: The solver's status.
         iterations: Number of iterations.
-        seconds: Processor time [s].
+        seconds: CPU time [s].
     """
 
     variables: Array
@@ -105,7 +105,7 @@ class LimitedSolver:
 
 
 def seconds_elsewhere() -> float:
-    """Return the CPU time of this process's solvers in their own processes [s]."""
+    """Return the total CPU time of the solver processes of this process [s]."""
     return _seconds_elsewhere
 
 
@@ -117,7 +117,7 @@ def _end(process: int, connection: Connection, owner: int) -> None:
 
 
 def _serve(solver: Any, connection: Connection) -> NoReturn:
-    """Answer calls until the other end closes."""
+    """Answer calls until the other end of the pipe closes."""
     try:
         # Nothing else of the parent's is held open: a lock on a file would last as long as this process.
         mine, most = connection.fileno(), os.sysconf("SC_OPEN_MAX")

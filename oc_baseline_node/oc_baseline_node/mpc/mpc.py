@@ -25,37 +25,36 @@ Array = NDArray[np.float64]
 Guess = tuple[Array, Array]
 _SIMPLIFICATIONS = ("", " (with the least control alone)", " (with a state cost that does not grow)")
 _NUDGES = (1e-6, 1e-4, 1e-2, 1e-1)
-"""Relative and absolute distance by which to move a guess where a derivative is not finite."""
+"""Relative and absolute distances by which a guess is moved if a derivative is not finite."""
 _FATROP_SHARE = 0.25
-"""Fraction of the time limit after which fatrop is ended, so that ipopt has its turn."""
+"""Fraction of the time limit after which fatrop is terminated, to leave time for ipopt."""
 _FAR = 0.25
-"""Fraction of a period from which the other way round may be cheaper, because of the other states."""
+"""Fraction of a period from which the other direction may be cheaper because of the other states."""
 _DAMPINGS = (0.0, 0.0, 1e-2, 1e-1, 1.0, 1.0)
-"""Damping of each quadratic program from a nearby trajectory: full steps first, shorter ones if these diverge."""
+"""Damping values of each quadratic program from a nearby trajectory: full steps first, then shorter ones."""
 _SETTLED = 0.1
-"""Relative change of the cost below which the next quadratic program would change less than a hundredth."""
+"""Relative change of the cost below which the next quadratic program would change it by less than a hundredth."""
 
 
 class Mpc:
     """Solves one problem from any start; the programs are set up once.
 
-    From a trajectory nearby it takes a few quadratic programs; from anywhere, an interior point. Where that fails and
-    obstacles are in the way it goes by steps: first with the least control alone, then with a state cost that does not
-    grow, then the problem itself. Over hundreds of steps the growth of the state cost leaves a solver nothing to hold
-    on to at the beginning.
+    From a nearby trajectory, a few quadratic programs suffice; otherwise an interior-point solver is used. If that
+    fails and obstacles are in the way, the problem is solved by continuation: first with control cost only, then with a
+    constant state cost, then the problem itself. Over hundreds of steps, the growing state cost makes the first stages
+    negligible for a solver.
 
     Args:
         problem: Optimal control problem to solve.
-        solvers: Solvers, asked in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
-            Where the model has corners and both are given, ipopt is asked alone: fatrop may never end there.
+        solvers: Solvers, tried in this order with each guess until one succeeds; fatrop is faster, ipopt more robust.
+            If the model has corners and both are given, only ipopt is used, because fatrop may not terminate.
         max_iterations: Maximum number of iterations of each solver.
-        time_limit: Processor time that one start may take [s]; a solver that exceeds it, or fatrop a quarter of it, is
-            ended.
-        nearby: Whether a trajectory to begin with is followed by quadratic programs first; otherwise an interior point
-            begins there.
+        time_limit: CPU time limit per start [s]; a solver that exceeds it (fatrop: a quarter of it) is terminated.
+        nearby: Whether to start from a given trajectory with quadratic programs; otherwise an interior-point solver
+            starts there.
 
     Raises:
-        OcError: The time limit is not more than zero.
+        OcError: The time limit is not positive.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class Mpc:
 
     @cached_property
     def rounded(self) -> tuple[str, ...]:
-        """Operations of the model that were smoothed for the solvers, because they lack a derivative somewhere."""
+        """Operations of the model that were smoothed for the solvers, because they are not always differentiable."""
         return model_rates(self.problem)[1]
 
     @cached_property
@@ -99,8 +98,8 @@ class Mpc:
 
         Args:
             start: Start state x_0 (n,).
-            guess: States (H+1, n) and controls (H, m) to begin with, such as a trajectory nearby (a warm start).
-            check_start: Whether to refuse a start that violates the constraints without trying a solver.
+            guess: Initial states (H+1, n) and controls (H, m), such as a nearby trajectory (a warm start).
+            check_start: Whether to reject a start that violates the constraints without calling a solver.
             multipliers: Multipliers of the constraints for the guess (M,), if known.
         """
         start = np.asarray(start, dtype=float)
@@ -132,13 +131,13 @@ class Mpc:
         return replace(best, reason=reason, iterations=iterations, cpu_seconds=seconds)
 
     def shift(self, multipliers: Array, steps: int) -> Array | None:
-        """Return multipliers (M,) for a trajectory shifted by `steps`; None if they are unknown."""
+        """Return multipliers (M,) for a trajectory shifted by `steps`; None if unknown."""
         return self._tool(0, self._asked[0]).sqp.shift(multipliers, steps) if len(multipliers) else None
 
     def _solve_way(
         self, terminal: Region, start: Array, bounds: Array, guesses: list[Guess], tries: list[MpcSolution]
     ) -> MpcSolution:
-        """Return the trajectory that ends in one copy of the terminal set, and sum up all attempts."""
+        """Return the trajectory that ends in one copy of the terminal set, with totals over all attempts."""
         mine: list[MpcSolution] = []
         for name, guess in product(self._asked, guesses):
             mine.append(self._attempt(0, name, start, guess, bounds, terminal, tries))
@@ -153,9 +152,9 @@ class Mpc:
     def _solve_by_continuation(
         self, start: Array, guess: Guess, bounds: Array, terminal: Region, tries: list[MpcSolution]
     ) -> list[MpcSolution]:
-        """Solve easier problems up to the problem itself, each starting from the one before.
+        """Solve easier problems up to the problem itself, each starting from the previous solution.
 
-        The last that is solved keeps every constraint, though its objective may be an easier one, as its reason says.
+        The last solution satisfies every constraint, but its objective may be an easier one, as stated in `reason`.
         """
         name, found = self._asked[0], []
         for rung in range(1, len(self._problems) + 1):
@@ -227,7 +226,7 @@ class Mpc:
         return unsolved(problem, start, reason, found.iterations, time.process_time() - begin)
 
     def _beside(self, start: Array, guess: Guess) -> Guess:
-        """Move a guess's states on circles by whole periods, so that it begins next to the start."""
+        """Shift a guess's angular states by whole periods, so that the guess starts next to the start state."""
         states, controls = guess
         turn = nearest_turn(states[0], start, self.problem.periods) - states[0]
         return states + turn, controls
@@ -251,7 +250,7 @@ class _Tool:
         return StageSqp(self.program, self.derivatives)
 
     def beside_trouble(self, variables: Array, start: Array) -> tuple[Array, str]:
-        """Return variables moved off a point where a derivative is no number, and which one is where all attempts fail.
+        """Return variables moved away from undefined derivatives; if all attempts fail, name the derivative.
 
         A solver that begins there cannot take a step, and fatrop never ends.
         """

@@ -1,11 +1,11 @@
-"""Obstacles as smooth constraints: superellipses around a box or disc that is grown by the robot's clearance d_min.
+"""Obstacles as smooth constraints: superellipses around a box or disc inflated by the robot's clearance d_min.
 
-A box grown by d_min is a rectangle with rounded corners. The superellipse around it has the same proportions and is
+A box inflated by d_min is a rectangle with rounded corners. The superellipse around it has the same proportions and is
 scaled until it touches the corners. It covers the rounded box, so a position outside of it keeps d_min from the real
 box. The p-norm grows like the distance, which suits solvers better than its p-th power.
 
-Around a long box it would extend far beyond the ends and block a door there. So a long box gets three: a shorter one,
-and one at each end.
+Around a long box, a single superellipse would extend far beyond the ends and block a door there, so a long box gets
+three: a shorter one, and one at each end.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Superellipse:
     angle: float = 0.0
 
     def outside(self, x: Any, y: Any) -> Any:
-        """Return the approximate distance of (x, y) [m], negative inside. Smooth, for arrays and CasADi."""
+        """Return the approximate distance of (x, y) [m], negative inside. Smooth; works with arrays and CasADi."""
         c, s = cos(self.angle), sin(self.angle)
         dx, dy = x - self.centre[0], y - self.centre[1]
         a = (c * dx + s * dy) / self.semi_axes[0]
@@ -53,7 +53,7 @@ class Superellipse:
 
 
 def covering_superellipses(shape: Shape, clearance: float, exponent: int = EXPONENT) -> tuple[Superellipse, ...]:
-    """Return superellipses that together cover all points nearer to `shape` than `clearance` [m], and little else."""
+    """Return superellipses that tightly cover all points within `clearance` [m] of `shape`."""
     whole = covering_superellipse(shape, clearance, exponent)
     if not isinstance(shape, Box):
         return (whole,)
@@ -75,7 +75,7 @@ def covering_superellipses(shape: Shape, clearance: float, exponent: int = EXPON
 
 
 def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
-    """Return a piece of a box along one of its own axes; `middle` and `share` are parts of its length."""
+    """Return a piece of a box along one of its axes; `middle` and `share` are fractions of its length."""
     length = box.size[axis]
     c, s = cos(box.angle), sin(box.angle)
     dx, dy = ((c, s), (-s, c))[axis]
@@ -85,7 +85,7 @@ def _piece(box: Box, axis: int, middle: float, share: float) -> Box:
 
 
 def covering_superellipse(shape: Shape, clearance: float, exponent: int = EXPONENT) -> Superellipse:
-    """Return a superellipse that covers all points nearer to `shape` than `clearance` [m]; for a disc exactly those."""
+    """Return a superellipse that covers all points within `clearance` [m] of `shape`; exact for a disc."""
     if not isinstance(shape, Box):
         radius = shape.radius + clearance
         return Superellipse(shape.centre, (radius, radius), 2)

@@ -1,4 +1,4 @@
-"""Receding-horizon control: a controller that solves again at every state, starting from its previous plan."""
+"""Receding-horizon control: a controller that re-solves at every state, starting from its previous plan."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 
 
 class RecedingHorizon:
-    """Solves again at every state, starting from its previous plan, and applies the first control.
+    """Re-solves at every state, starting from its previous plan, and applies the first control.
 
-    If no solver finds a trajectory it continues with the plan that it has.
+    If no solver finds a trajectory, the previous plan is continued.
 
     Attributes:
-        plan: Last solved trajectory, None before the first.
-        reason: Status of the last solver; no success if `plan` is older.
+        plan: Last solved trajectory; None before the first.
+        reason: Status of the last solver; a failure if `plan` is older.
         solved: Whether a trajectory was found for the last state.
         spent: CPU time of the solvers for the last state [s].
     """
@@ -34,7 +34,7 @@ class RecedingHorizon:
         self.spent = 0.0
 
     def control(self, state: ArrayLike) -> Array:
-        """Return u (m,) for a state (n,); call it once per time step."""
+        """Return the control u (m,) for a state (n,); call once per time step."""
         self._age += 1
         tries = [] if self.plan is None else [self._solve_nearby(state, self.plan)]
         if not tries or not tries[-1].solved:

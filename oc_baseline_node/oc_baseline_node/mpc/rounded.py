@@ -1,8 +1,8 @@
-"""Smooths the corners of a model's equations, where sqrt, fractional powers, asin and the like have no derivative.
+"""Smooths model equations at the points where sqrt, fractional powers, asin etc. are not differentiable.
 
-A solver that starts at rest with |v| v written as a square root gets 0/0. Each such operation is replaced by one that
-is finite everywhere and differs by 1e-4 at the corner, by far less elsewhere. Trajectories are checked by the original
-equations, so the replacement moves none by more than the tolerance.
+For example, |v| v written with a square root gives 0/0 at rest. Each such operation is replaced by one that is finite
+everywhere and differs by 1e-4 at the corner and far less elsewhere. Trajectories are checked with the original
+equations, so the replacement changes none by more than the tolerance.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from typing import Any
 import casadi
 
 _ROUND = 1e-8
-"""Added under a root; its square root is the error at the corner."""
+"""Term added under a root; its square root is the error at the corner."""
 _APART = 1e-8
-"""Divisor below which a quotient bends back to zero."""
+"""Divisor below which a quotient returns smoothly to zero."""
 _LARGEST_EXPONENT = 300.0
-"""Exponent beyond which exp stays constant, because its squares would be infinite."""
+"""Exponent beyond which exp stays constant, because its square would be infinite."""
 
 
 def rounded(function: casadi.Function) -> tuple[casadi.Function, tuple[str, ...]]:
-    """Return an SX function without corners, and the names of the operations that had some.
+    """Return an SX function without corners, and the names of the smoothed operations.
 
-    Quotients and exp are kept finite too, but not named: they have derivatives wherever they have values. A function
+    Quotients and exp are kept finite too, but not listed, since they are differentiable wherever defined. A function
     without corners is returned unchanged.
     """
     found = _corners(function)
@@ -47,7 +47,7 @@ def rounded(function: casadi.Function) -> tuple[casadi.Function, tuple[str, ...]
 
 
 def _corners(function: casadi.Function) -> tuple[str, ...]:
-    """Return the names of the operations that lack a derivative somewhere, in order of appearance."""
+    """Return the names of the operations that are not differentiable everywhere, in order of appearance."""
     constant: dict[int, bool] = {}
     found: dict[str, None] = {}
     for k in range(function.n_instructions()):
@@ -74,7 +74,7 @@ def _replaced(operation: int, terms: list[Any]) -> Any:
 
 
 def _positive(z: Any) -> Any:
-    """Return z where it is positive, and about zero, but more than zero, where it is not."""
+    """Return z if positive; otherwise a value slightly above zero."""
     return 0.5 * (z + casadi.sqrt(z * z + _ROUND**2)) + _ROUND
 
 
@@ -83,7 +83,7 @@ def _quotient(a: Any, b: Any) -> Any:
 
 
 def _inside(z: Any) -> Any:
-    """Return z within (-1, 1)."""
+    """Return z clipped smoothly to (-1, 1)."""
     return casadi.fmin(casadi.fmax(z, -1.0), 1.0) * (1.0 - _ROUND)
 
 

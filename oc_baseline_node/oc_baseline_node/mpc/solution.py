@@ -1,4 +1,4 @@
-"""Result of the solvers for one start, checked against every constraint."""
+"""Solver result for one start, checked against every constraint."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _CHECKED_FRACTIONS = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class MpcSolution:
-    """Result of the solvers for one start.
+    """Solver result for one start.
 
     Attributes:
-        states: States x_0 .. x_H (H+1, n); not to be used where not `solved`. A state on a circle goes on where it was,
-            beyond a whole turn too.
+        states: States x_0 .. x_H (H+1, n); invalid unless `solved`. Angular states are continuous, even beyond a full
+            turn.
         controls: Controls u_0 .. u_{H-1} (H, m).
         time_step: Duration of a step [s].
-        solved: Whether the trajectory keeps every constraint.
-        reason: Status of the last solver (CasADi's return_status), or why no solver was asked.
-        cost: Cost of Eq. 3.16, NaN where not solved.
-        iterations: Number of iterations of all solvers asked; of quadratic programs for one begun nearby.
-        cpu_seconds: Processor time of all solvers asked [s], without setting up their programs.
-        multipliers: Multipliers of the constraints (M,), for a start nearby; empty where not known.
+        solved: Whether the trajectory satisfies every constraint.
+        reason: Status of the last solver (CasADi's return_status), or the reason why no solver was called.
+        cost: Cost of Eq. 3.16; NaN unless solved.
+        iterations: Total number of solver iterations, or of quadratic programs from a nearby trajectory.
+        cpu_seconds: Total CPU time of the solvers [s], excluding the setup of their programs.
+        multipliers: Multipliers of the constraints (M,), for warm starts; empty if unknown.
     """
 
     states: Array
@@ -49,7 +49,7 @@ class MpcSolution:
 def unsolved(
     problem: OptimalControlProblem, start: Array, reason: str, iterations: int = 0, seconds: float = 0.0
 ) -> MpcSolution:
-    """Return the result for a start (n,) without a trajectory."""
+    """Return an unsolved result for a start (n,)."""
     states = np.full((problem.horizon + 1, len(problem.system.states)), np.nan)
     states[0] = start if start.shape == states[0].shape else np.nan
     controls = np.full((problem.horizon, len(problem.system.controls)), np.nan)
@@ -66,7 +66,7 @@ def checked(
     seconds: float,
     multipliers: Array,
 ) -> MpcSolution:
-    """Return states (H+1, n), controls (H, m) and time step [s] as a result, solved if they keep every constraint."""
+    """Return states (H+1, n), controls (H, m) and time step [s] as a result, solved if all constraints hold."""
     states, controls, time_step = trajectory
     with np.errstate(all="ignore"):
         broken = violated_constraint(problem, start, states, controls, time_step)
@@ -79,7 +79,7 @@ def checked(
 def violated_constraint(
     problem: OptimalControlProblem, start: Array, states: Array, controls: Array, time_step: float
 ) -> str:
-    """Name a constraint that a trajectory violates by more than the tolerance, checked against the real boxes."""
+    """Name a constraint that a trajectory violates by more than the tolerance; obstacles are the real boxes."""
     low, high = problem.bounds_around(start)
     u_low, u_high = problem.system.control_bounds
     steps = problem.system.step(states[:-1], controls, dt=time_step)
@@ -104,9 +104,9 @@ def violated_constraint(
 def _clearance_between_samples(
     problem: OptimalControlProblem, states: Array, controls: Array, time_step: float
 ) -> float:
-    """Return the minimum clearance of a trajectory between its samples [m], apart from the first step.
+    """Return the minimum clearance of a trajectory between its samples [m], except in the first step.
 
-    The start may lie at d_min, from where a step may pass closer to a corner.
+    The start may lie at d_min, from where the first step may pass closer to a corner.
     """
     if not problem.obstacles:
         return np.inf

@@ -1,7 +1,7 @@
-"""Sequential quadratic programming from a nearby trajectory: it needs few programs, unlike an interior point.
+"""Sequential quadratic programming from a nearby trajectory, which needs few programs, unlike an interior point.
 
-Each step solves the quadratic program of the point (exact Hessian of the Lagrangian), stage by stage. From the plan of
-the step before one or two of them do: real-time iterations (Diehl, Bock, Schlöder, SIAM J. Control Optim. 43, 2005).
+Each step solves the quadratic program at the current point (exact Hessian of the Lagrangian), stage by stage. From the
+previous plan, one or two steps suffice: real-time iterations (Diehl, Bock, Schlöder, SIAM J. Control Optim. 43, 2005).
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 _DAMPING = (1e-4, 1e-2, 1.0)
 """Values to add to the Hessian's diagonal, tried in turn until the program has a minimum."""
 _BEGINNINGS = ((1e-2, 1e-4), (1e-2, 1.0), (1.0, 1e2))
-"""Minimum slack, and product of slack and multiplier, to begin with: the larger ones where it is stuck at an edge."""
+"""Initial values of the minimum slack and of the product of slack and multiplier; larger ones if stuck at a bound."""
 _NEAR = 1.0
 """Distance beyond which a quadratic program omits an obstacle [m]; the trajectory is checked against all."""
 
 
 _GAP = 1e-4
-"""Tolerance of a program's inequalities, relative to the cost."""
+"""Tolerance of a program's complementarity, relative to the cost."""
 _LEAST_GAP, _LARGEST_GAP = 1e-12, 1e-8
-"""Range of the same for one inequality, in the program's units."""
+"""Range of the same tolerance per inequality, in the program's units."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SqpStep:
 
     Attributes:
         variables: Variables of the program.
-        multipliers: Multipliers of its constraints (M,), with CasADi's signs.
+        multipliers: Multipliers of the constraints (M,), with CasADi's sign convention.
     """
 
     variables: Array
@@ -48,7 +48,7 @@ class StageSqp:
     """Steps of sequential quadratic programming for one program.
 
     Args:
-        program: Nonlinear program whose variables stand in the order of its stages.
+        program: Nonlinear program with variables in stage order.
         derivatives: Functions of the program's gradient, Jacobian and Hessian.
     """
 
@@ -73,13 +73,13 @@ class StageSqp:
     def step(
         self, variables: Array, start: Array, bounds: dict[str, Array], multipliers: Array, least_damping: float = 0.0
     ) -> SqpStep | None:
-        """Solve the quadratic program at a point; None if it has no solution.
+        """Solve the quadratic program at a point; return None if it has no solution.
 
         Args:
             variables: Variables of the program at the point.
             start: Start state x_0 (n,).
             bounds: Bounds of the variables, lbx and ubx.
-            multipliers: Multipliers of the constraints there (M,); zeros leave their curvature out.
+            multipliers: Multipliers of the constraints at the point (M,); zeros omit the constraints' curvature.
             least_damping: Minimum value to add to the Hessian's diagonal; larger values shorten the step.
         """
         K, n, w = self._K, self._n, self._w
@@ -110,7 +110,7 @@ class StageSqp:
     def _solve(
         self, variables: Array, start: Array, multipliers: Array, rest: tuple[Array, ...], least: float
     ) -> tuple[Array, Array, Array] | None:
-        """Return z, multipliers and gradients of the program with the Hessian of these multipliers; None for none."""
+        """Return z, multipliers and gradients for the Hessian with these multipliers, or None."""
         (entries,) = self._derivatives.hessian(variables, start, np.ones(1), multipliers)
         if not np.isfinite(entries).all():
             return None
@@ -127,7 +127,7 @@ class StageSqp:
         return None
 
     def shift(self, multipliers: Array, steps: int) -> Array:
-        """Return multipliers (M,) of a trajectory from `steps` on, as `shift_trajectory` does with its states."""
+        """Return the multipliers (M,) of a trajectory shifted by `steps`, as `shift_trajectory` does for states."""
         out, gamma = np.zeros_like(multipliers), self._program.layout.problem.gamma
         for which in (self._dynamics, self._unequal & (self._program.kinds == "obstacle")):
             table = multipliers[which].reshape(self._K, -1)
@@ -137,7 +137,7 @@ class StageSqp:
         return out / gamma**steps
 
     def _compile(self) -> None:
-        """Compile the recursion, or load it from the cache, before the first solution."""
+        """Compile the recursion, or load it from the cache, before the first solve."""
         empty = np.zeros((2, 1)), np.zeros((1, 1, 2)), np.zeros((2, 2)), np.zeros((2, 0, 2)), np.zeros((2, 0))
         H = np.stack((np.eye(2), np.eye(2)))
         solve_stages(
@@ -150,7 +150,7 @@ class StageSqp:
         return out.reshape(self._K + 1, self._w)
 
     def _index_jacobian(self) -> None:
-        """Record which entries of the sparse Jacobian belong to A and to G, and where."""
+        """Record which entries of the sparse Jacobian belong to A and to G, and their positions."""
         row, column = self._derivatives.jacobian.rows, self._derivatives.jacobian.columns
         program, w = self._program, self._w
         stage, local = column // w, column % w

@@ -1,11 +1,11 @@
-"""Quadratic programs of optimal control: an interior point whose linear systems are Riccati recursions.
+"""Quadratic programs of optimal control, solved by an interior-point method with Riccati recursions.
 
     min sum_k 1/2 z_k' H_k z_k + q_k' z_k,  z_k = (x_k, u_k),  x_{k+1} = A_k z_k + b_k,  lower <= z <= upper,
     G_k z_k + c_k >= 0
 
-Mehrotra's predictor and corrector (Nocedal and Wright, Numerical Optimization, 16.6), with the recursion of Rao, Wright
-and Rawlings (Application of interior-point methods to model predictive control, 1998). Its time grows with the number
-of stages, not with its cube.
+Mehrotra's predictor-corrector method (Nocedal and Wright, Numerical Optimization, 16.6), with the recursion of Rao,
+Wright and Rawlings (Application of interior-point methods to model predictive control, 1998). The computation time is
+linear in the number of stages.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 _MOST_ITERATIONS = 40
 _RESIDUAL = 1e-7
-"""Tolerance of the equations, relative to their first residual."""
+"""Tolerance of the equations, relative to their initial residual."""
 _SHORT, _MOST_SHORT = 1e-2, 3
-"""A step below the first counts as none; so many in a row mean that the first slacks were too small."""
+"""Step length that counts as none, and the number of such steps in a row that means too small initial slacks."""
 _TO_EDGE = 0.995
 _LEAST_PIVOT = 1e-12
 
@@ -40,25 +40,25 @@ def solve_stages(
     least_slack: float,
     first_barrier: float,
 ) -> tuple[int, Array, Array, Array]:
-    """Return iterations, z (K+1, w), multipliers of G z + c >= 0 (K+1, r), gradients of the cost to go by x (K+1, n).
+    """Return iterations, z (K+1, w), multipliers of G z + c >= 0 (K+1, r), cost-to-go gradients by x (K+1, n).
 
-    The iterations are 0 where it does not get on from these first slacks, or at all, because no z meets the
-    inequalities, and -1 where there is no minimum, because H is indefinite.
+    The number of iterations is 0 if the method makes no progress from the initial slacks (or no z satisfies the
+    inequalities), and -1 if there is no minimum, because H is indefinite.
 
     Args:
         H: Hessians (K+1, w, w).
         q: Gradients (K+1, w).
         A: Dynamics (K, n, w); the states come first in z.
         b: Offsets of the dynamics (K, n).
-        lower: Minimum z (K+1, w), -inf where free.
-        upper: Maximum z (K+1, w), inf where free.
+        lower: Lower bounds of z (K+1, w); -inf if free.
+        upper: Upper bounds of z (K+1, w); inf if free.
         G: Rows (K+1, r, w).
-        c: Offsets of the rows (K+1, r), inf for a row that does not count.
-        first: First components of x_0 that are given (f,); the others are free.
+        c: Offsets of the rows (K+1, r); inf for an unused row.
+        first: Given leading components of x_0 (f,); the others are free.
         damping: Value to add to the diagonal of H.
-        complementarity: Mean product of slack and multiplier at which the program counts as solved.
-        least_slack: Minimum slack to begin with.
-        first_barrier: Product of slack and multiplier to begin with.
+        complementarity: Mean product of slack and multiplier at convergence.
+        least_slack: Initial minimum slack.
+        first_barrier: Initial product of slack and multiplier.
     """
     K, n, w = A.shape
     r = G.shape[1]
@@ -138,7 +138,7 @@ def _directions(
     d_slack: Array,
     d_weight: Array,
 ) -> float:
-    """Fill in the steps of slacks and multipliers towards z `new`; return the fraction that keeps them positive."""
+    """Fill in the steps of slacks and multipliers towards z `new`; return the step length that keeps them positive."""
     stages, w = new.shape
     step = 1.0
     for k in range(stages):
@@ -186,7 +186,7 @@ def _riccati(
     F: Array,
     f: Array,
 ) -> bool:
-    """Fill in z `new`, the minimum with the barrier's terms; return False if H is indefinite."""
+    """Fill in z `new`, the minimum with barrier terms; return False if H is indefinite."""
     K, n, w = A.shape
     m = w - n
     M, v, T, t = np.empty((w, w)), np.empty(w), np.empty((n, w)), np.empty(n)

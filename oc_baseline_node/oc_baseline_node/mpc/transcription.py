@@ -1,6 +1,6 @@
-"""Transcription to a nonlinear program by multiple shooting, in the order by stages that fatrop needs and ipopt takes.
+"""Transcription to a nonlinear program by multiple shooting, in the stage order required by fatrop.
 
-Variables x_0, u_0, x_1, ..., u_{H-1}, x_H; controls that are held are no variables, a free time step is one more state.
+Variables: x_0, u_0, x_1, ..., u_{H-1}, x_H, without fixed controls; a free time step is an additional state.
 Constraints of a stage: the next state, then (at k = 0) the start, the obstacles, (at k = H) the terminal disc.
 """
 
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 SolverName = Literal["ipopt", "fatrop"]
 Kind = Literal["dynamics", "start", "obstacle", "disc"]
 _LEAST_CLEARANCE = 0.05
-"""Minimum d_min in the corner-cutting allowance [m], which would be infinite for a corner that may be touched."""
+"""Minimum d_min used in the corner-cutting allowance [m], which would be infinite for a corner that may be touched."""
 _COST_RANGE = 1e3
-"""The maximum weight of a squared distance [1/m^2] after scaling: gamma^H alone is 6e5."""
+"""Maximum weight of a squared distance [1/m^2] after scaling, since gamma^H alone is 6e5."""
 
 
 class Layout:
-    """Places of states, controls and time step in the vector of variables."""
+    """Positions of states, controls and time step in the vector of variables."""
 
     def __init__(self, problem: OptimalControlProblem) -> None:
         low, high = problem.system.control_bounds
@@ -70,11 +70,11 @@ class NonlinearProgram:
     """A nonlinear program with its solver.
 
     Attributes:
-        layout: Places of states and controls in the vector of variables.
+        layout: Positions of states and controls in the vector of variables.
         solver: CasADi function of the solver; its parameter is the start x_0.
-        bounds: Bounds of the constraints: lbg, ubg; those of the variables follow from the start.
+        bounds: Bounds of the constraints, lbg and ubg; the bounds of the variables depend on the start.
         kinds: Kind of each constraint (M,).
-        stages: Stage k that each constraint belongs to (M,).
+        stages: Stage k of each constraint (M,).
     """
 
     layout: Layout
@@ -85,7 +85,7 @@ class NonlinearProgram:
 
 
 def transcribe(problem: OptimalControlProblem, solver: SolverName, max_iterations: int) -> NonlinearProgram:
-    """Return the problem's program with its solver; setting it up takes about a second."""
+    """Return the problem's program with its solver; the setup takes about a second."""
     layout = Layout(problem)
     H, n = problem.horizon, layout.n
     rates, _ = model_rates(problem)
@@ -160,9 +160,9 @@ def _runge_kutta(rates: Any, x: Any, u: Any, dt: Any) -> Any:
 
 
 def corner_cutting_allowance(problem: OptimalControlProblem, rates: Any, step: Any) -> Any:
-    """Return how far a step with rates x' (n,) may cut the corner of an obstacle [m], for CasADi.
+    """Return the distance by which a step with rates x' (n,) may cut an obstacle's corner [m], for CasADi.
 
-    Between two positions at d_min from a corner the path is a chord of the circle around the corner, whose centre is
+    Between two positions at d_min from a corner, the path is a chord of the circle around the corner, whose midpoint is
     closer by (v dt)^2 / (8 d_min).
     """
     speed_squared = sum(rates[index] ** 2 for index in problem.positions)
@@ -170,7 +170,7 @@ def corner_cutting_allowance(problem: OptimalControlProblem, rates: Any, step: A
 
 
 def stage_cost(problem: OptimalControlProblem, p: Any, u: Any, k: int) -> Any:
-    """Return c(x_k, u_k) of Eq. 3.16 with the trap's term; for arrays and for CasADi."""
+    """Return c(x_k, u_k) of Eq. 3.16 including the trap term, for arrays and for CasADi."""
     growth = problem.gamma ** (k + 1)
     goal = (p[0] - problem.goal[0]) ** 2 + (p[1] - problem.goal[1]) ** 2
     cost = growth * problem.state_weight * goal
@@ -188,7 +188,7 @@ def trajectory_cost(problem: OptimalControlProblem, states: Array, controls: Arr
 
 
 def _controls(layout: Layout, free: Any) -> Any:
-    """Return the full u of a stage: variables where free, numbers where held."""
+    """Return the full u of a stage: variables for free controls, numbers for fixed ones."""
     u = casadi.SX(layout.held)
     for index, control in enumerate(layout.free_controls.tolist()):
         u[control] = free[index]
@@ -196,12 +196,12 @@ def _controls(layout: Layout, free: Any) -> Any:
 
 
 def variable_bounds(layout: Layout, state_bounds: Array, terminal: Region) -> dict[str, Array]:
-    """Return lbx and ubx; the start is bound only by a constraint.
+    """Return lbx and ubx; the start is only bounded by a constraint.
 
     Args:
-        layout: Places of states and controls in the vector of variables.
+        layout: Positions of states and controls in the vector of variables.
         state_bounds: Minimum and maximum states (2, n).
-        terminal: Set in which x_H lies; its disc is a constraint.
+        terminal: Terminal set of x_H; its disc is a constraint.
     """
     problem, H = layout.problem, layout.problem.horizon
     out = {}

@@ -1,4 +1,4 @@
-"""Coordinates in which problems are solved: states on circles, and positions along a corridor's path."""
+"""Problem coordinates: angular states, and positions along a corridor's path."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from oc_baseline_node.errors import OcError
 
 Array = NDArray[np.float64]
 _MOST_WAYS = 4
-"""Number of windings tried when several states are on circles."""
+"""Maximum number of winding combinations tried with several angular states."""
 
 
 def periods(system: System, positions: Sequence[int]) -> Array:
-    """Return the period of each state (n,), inf for a state that is not on a circle.
+    """Return the period of each state (n,); inf for a non-angular state.
 
-    A heading of -180 degrees is one of 180, so an interval of it is also met one period away.
+    A heading of -180 degrees equals one of 180, so an interval also matches values one period away.
 
-    A state is on a circle if its model says so, or if its name marks an angle in regions. Positions are not: distances
-    are measured along them.
+    A state is angular if its model says so, or if regions treat its name as an angle. Positions never are, because
+    distances are measured along them.
     """
     out = np.full(len(system.states), np.inf)
     for index, state in enumerate(system.states):
@@ -41,7 +41,7 @@ def periods(system: System, positions: Sequence[int]) -> Array:
 
 
 def nearest_turn(values: ArrayLike, toward: ArrayLike, period: ArrayLike) -> Array:
-    """Move values (...) by whole periods to within half a period of `toward` (...), unless the period is infinite."""
+    """Shift values (...) by whole periods to within half a period of `toward` (...); ignores infinite periods."""
     values, period = np.asarray(values, dtype=float), np.asarray(period, dtype=float)
     finite = np.isfinite(period)
     length = np.where(finite, period, 1.0)
@@ -49,7 +49,7 @@ def nearest_turn(values: ArrayLike, toward: ArrayLike, period: ArrayLike) -> Arr
 
 
 def bounds_around(state: Array, bounds: Array, period: Array) -> Array:
-    """Move bounds (2, n) by whole periods so that a state (n,) lies in or nearest to them.
+    """Shift bounds (2, n) by whole periods so that they contain or come closest to a state (n,).
 
     Bounds that span a whole period become infinite.
     """
@@ -62,7 +62,7 @@ def bounds_around(state: Array, bounds: Array, period: Array) -> Array:
 
 
 def outside(region: Region, names: Sequence[str], period: Array, state: Array) -> float:
-    """Return how far a state (n,) is outside the intervals of a region [m, rad, ...]; zero or less inside."""
+    """Return the distance of a state (n,) outside a region's intervals [m, rad, ...]; zero or less inside."""
     out = -np.inf
     for name, interval in region.intervals.items():
         index = names.index(name)
@@ -75,9 +75,9 @@ def outside(region: Region, names: Sequence[str], period: Array, state: Array) -
 def ways_round(
     region: Region, names: Sequence[str], period: Array, state: Array, bounds: Array
 ) -> list[tuple[float, Region]]:
-    """Return copies of a region, moved by periods to within reach of a state (n,), with their distances in periods.
+    """Return copies of a region shifted by periods near a state (n,), with their distances in periods.
 
-    The nearest comes first. Copies outside `bounds` (2, n) are left out, unless all are.
+    The nearest comes first. Copies outside `bounds` (2, n) are omitted, unless all are outside.
     """
     choices: list[list[tuple[float, str, Interval | None]]] = []
     for name, interval in region.intervals.items():
@@ -102,7 +102,7 @@ def ways_round(
 def _turns(
     name: str, interval: Interval, period: float, value: float, bounds: Array
 ) -> list[tuple[float, str, Interval | None]]:
-    """Return one or two copies of an interval with their distances in periods, the nearest first."""
+    """Return one or two copies of an interval with their distances in periods, nearest first."""
     turn = float(nearest_turn(interval.centre, value, period)) - interval.centre
     found = []
     for shift in (turn - period, turn, turn + period):
@@ -117,20 +117,20 @@ def _turns(
 NAMES = ("s", "lateral", "heading")
 """States of `path_car`."""
 _ROUNDED = 0.05
-"""Length over which steps of the curvature are smoothed [m]."""
+"""Length over which curvature steps are smoothed [m]."""
 _LARGEST_HEADING = pi / 3
-"""Maximum heading of a start [rad]: a burger does not start across a narrow corridor."""
+"""Maximum heading of a start [rad], since a burger does not start across a narrow corridor."""
 
 
 def path_car(car: System, path: ArcPath) -> System:
-    """Return the Dubins car `car` in the coordinates of a path.
+    """Return the Dubins car `car` in path coordinates.
 
-    Walls become bounds there, and the path to the goal a straight line:
+    In these coordinates walls become bounds, and the path to the goal becomes a straight line:
 
         s' = v cos(h) / (1 - kappa(s) l),    l' = v sin(h),    h' = omega - kappa(s) s'
 
     with s along the path, l lateral to its left, h the heading relative to it (as in the task's regions), and kappa the
-    path's curvature, smoothed at its steps so that a solver can follow it.
+    path's curvature, smoothed at its steps for the solver.
 
     Raises:
         OcError: `car` is a different model.

@@ -1,4 +1,4 @@
-"""From an RL task to an optimal control problem: the RL info, the candidate models, two criteria (thesis 3.3.2).
+"""Extracts an optimal control problem from an RL task: RL info, candidate models, two criteria (thesis 3.3.2).
 
 extraction = extract(load_navigation_task("car_navigation"))
 print(extraction.report())
@@ -21,23 +21,23 @@ ROBOT_TYPES: Mapping[str, str] = {
     "jackal": "car",
     "planar_quadrotor": "quadrotor",
 }
-"""Robot type by body."""
+"""Robot types by body."""
 CANDIDATES: Mapping[str, tuple[str, ...]] = {
     "car": ("dubins_car", "extended_dubins_car", "bicycle"),
     "quadrotor": ("planar_quadrotor", "quadrotor_rotation", "point_mass"),
 }
-"""Table 3.1: models by robot type."""
+"""Models of Table 3.1 by robot type."""
 
 
 @dataclass(frozen=True)
 class RlInfo:
-    """The four components of a task that an optimal control problem is made from.
+    """The four components of a task from which an optimal control problem is formed.
 
     Attributes:
-        robot_type: Type of the robot, "car" or "quadrotor"; the system's name for a model of one's own.
+        robot_type: Type of the robot, "car" or "quadrotor"; the system's name for a custom model.
         state: Components of the full RL state s, beams last.
-        reward: Reward of each set, and the state components that tell whether a state lies in it.
-        constraints: Constraints of the environment, in words.
+        reward: Reward of each set, and the state components that define it.
+        constraints: Description of the environment's constraints.
     """
 
     robot_type: str
@@ -48,7 +48,7 @@ class RlInfo:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model of Table 3.1 and why it is refused; without reasons it meets both criteria."""
+    """A model of Table 3.1 with the reasons for its rejection; without reasons it meets both criteria."""
 
     model: str
     reasons: tuple[str, ...]
@@ -56,13 +56,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Extraction:
-    """Optimal control problem extracted from a task, with reasons.
+    """The optimal control problem extracted from a task, with the reasons.
 
     Attributes:
         info: RL info of the task.
         candidates: Models of the robot's type, assessed by the two criteria.
         chosen: Name of the task's own model, which meets both criteria.
-        problem: Optimal control problem that is formed.
+        problem: Resulting optimal control problem.
     """
 
     info: RlInfo
@@ -71,7 +71,7 @@ class Extraction:
     problem: OptimalControlProblem
 
     def report(self) -> str:
-        """Return the extraction as text."""
+        """Format the extraction as text."""
         lines = [f"robot type    {self.info.robot_type}", f"RL state s    {_run_together(self.info.state)}"]
         for index, (name, (pays, parts)) in enumerate(self.info.reward.items()):
             lines.append(f"{'reward' if index == 0 else '':13} {pays:+g} {name} ({', '.join(parts) or 'elsewhere'})")
@@ -81,16 +81,16 @@ class Extraction:
 
 
 def extract(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> Extraction:
-    """Return the RL info of a task, the assessed candidate models and the problem that is formed.
+    """Extract the RL info of a task, the assessed candidate models and the resulting problem.
 
     Args:
-        task: Task that the problem is extracted from.
+        task: Task to extract the problem from.
         form: Form of the problem, one of `FORMS`.
         clearance: Minimum distance d_min from obstacles [m]; None for the task's, raised above the body's radius if
             necessary.
 
     Raises:
-        OcError: No candidate meets the criteria, the task's own model does not, or `formulate` refuses the task.
+        OcError: No candidate meets the criteria, the task's own model does not, or `formulate` rejects the task.
     """
     info = rl_info(task)
     candidates = tuple(assess(name, info) for name in CANDIDATES.get(info.robot_type, (task.system.model,)))
@@ -129,7 +129,7 @@ def rl_info(task: NavigationTask) -> RlInfo:
 
 
 def assess(model: str, info: RlInfo) -> Candidate:
-    """Return whether a model meets the criteria: its state is part of the RL state, the reward is of its state."""
+    """Check a model's criteria: its state is part of the RL state, and the reward depends only on its state."""
     own = tuple(state.name for state in SYSTEM_MODELS[model].states)
     reasons = []
     lacking = [name for name in own if name not in info.state]

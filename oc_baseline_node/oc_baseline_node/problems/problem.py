@@ -29,46 +29,48 @@ from oc_baseline_node.problems.coordinates import in_plane, path_car
 Array = NDArray[np.float64]
 Form = Literal["free_speed", "free_time", "letter"]
 FORMS: tuple[Form, ...] = get_args(Form)
-"""Forms that make Eq. 3.16 feasible from most starts: every control free within its bounds (`free_speed`), or
-the constant speed kept and the time step free, one for the whole trajectory (`free_time`); `letter` frees neither."""
+"""Forms that make Eq. 3.16 feasible from most starts.
+
+`free_speed`: every control is free within its bounds. `free_time`: the speed is constant and the time step is free,
+with one value per trajectory. `letter`: neither is free."""
 TIME_STEP_RANGE = (0.2, 4.0)
-"""Range of a free time step, in multiples of the task's."""
+"""Range of a free time step, as multiples of the task's."""
 MODELS_OWN = "the model's own bounds, as the task names none"
-"""Source of a control's bounds."""
+"""Source of control bounds that come from the model."""
 _ROOM = 0.02
-"""Margin to what ends an episode, contact or the tilt limit, if the task has none [m, rad]."""
+"""Margin to contact and to the tilt limit if the task specifies none [m, rad]."""
 _HEAVIEST = 1e100
-"""Maximum weight of a squared distance [1/m^2]: sums and squares of what is larger are no numbers any more."""
+"""Maximum weight of a squared distance [1/m^2]; sums and squares of larger ones overflow."""
 _RANGES = {"planar_quadrotor": ("v_x", "v_z", "omega")}
-"""Bounds of states that are ranges for grids (thesis Table 3.1): nothing in the model or its simulators stops there."""
+"""State bounds that only limit grids (thesis Table 3.1); neither model nor simulators enforce them."""
 _INSIDE = 1e-3
-"""Distance inside the goal's bounds at which a trajectory must end, beyond a solver's tolerance [m, rad]."""
+"""Distance inside the goal's bounds at which a trajectory must end, larger than a solver's tolerance [m, rad]."""
 
 
 @dataclass(frozen=True)
 class OptimalControlProblem:
     """min over u of sum_k gamma^(k+1) (Q |p_k - p*|^2 - W |p_k - p_trap|^2) + R |u_k|^2, k = 0 .. H - 1.
 
-    Subject to the system, x_0 given, x_H in the terminal set, p_k at least d_min from obstacles, states and controls
-    within bounds. The W term is the trap form of section 3.3.3. In a corridor x and p are coordinates of its path.
+    Subject to the system, x_0 given, x_H in the terminal set, p_k at least d_min from obstacles, and states and
+    controls within bounds. The W term is the trap form of section 3.3.3. In a corridor, x and p are path coordinates.
 
     Attributes:
-        task: Task that the problem belongs to.
-        system: Dynamics f with the bounds of u that the problem uses; the task's own, or in a corridor `path_car`.
+        task: Task of the problem.
+        system: Dynamics f with the problem's bounds of u; the task's own, or in a corridor `path_car`.
         form: Form of the problem, one of `FORMS`.
         horizon: Number H of steps.
         time_step: Duration of a step [s].
-        gamma: Growth of the state cost per step; not the discount of Eq. 3.13.
-        discount: Discount of one step of the task's policy, in Eq. 3.13.
+        gamma: Growth factor of the state cost per step, distinct from the discount of Eq. 3.13.
+        discount: Discount per policy step, in Eq. 3.13.
         state_weight: Weight Q of the squared distance to the goal [1/m^2].
         control_weight: Weight R of the squared controls.
         trap_weight: Weight W of the squared distance to the trap [1/m^2].
         goal: Centre p* of the goal (2,) [m].
         trap: Centre of the trap (2,) [m], or None.
-        terminal: Set in which x_H lies: the goal, within the task's terminal set.
-        obstacles: Shapes from which a position keeps d_min.
+        terminal: Terminal set of x_H: the goal, within the task's terminal set.
+        obstacles: Shapes from which positions keep d_min.
         clearance: Minimum distance d_min from obstacles [m].
-        state_bounds: Minimum and maximum states (2, n); infinite where free.
+        state_bounds: Minimum and maximum states (2, n); infinite if free.
     """
 
     task: NavigationTask
@@ -109,22 +111,22 @@ class OptimalControlProblem:
 
     @cached_property
     def periods(self) -> Array:
-        """Period of each state (n,), inf where it is on no circle."""
+        """Period of each state (n,); inf for a non-angular state."""
         return coordinates.periods(self.system, self.positions)
 
     def bounds_around(self, state: Array) -> Array:
-        """Return the state bounds (2, n) of trajectories from a state (n,), on a circle moved by whole periods."""
+        """Return the state bounds (2, n) of trajectories from a state (n,), with angles shifted by whole periods."""
         return coordinates.bounds_around(state, self.state_bounds, self.periods)
 
     def ways_round(self, state: Array, bounds: Array) -> list[tuple[float, Region]]:
-        """Return the terminal set as it may be reached from a state (n,) within bounds (2, n), the nearest way first.
+        """Return copies of the terminal set reachable from a state (n,) within bounds (2, n), nearest first.
 
-        Beside each stands its distance in periods.
+        Each comes with its distance in periods.
         """
         return coordinates.ways_round(self.terminal, self.system.state_names, self.periods, state, bounds)
 
     def task_states(self, states: ArrayLike) -> Array:
-        """Return states (..., n) of `system` as states (..., n) of the task's own system."""
+        """Convert states (..., n) of `system` to states (..., n) of the task's own system."""
         if self.task.corridor is None:
             return np.asarray(states, dtype=float)
         return in_plane(self.task.corridor.path, states)
@@ -135,7 +137,7 @@ class OptimalControlProblem:
         return task_digest(self.task)
 
     def margin(self, states: ArrayLike) -> Array:
-        """Return the margin (...) of states (..., n) to d_min and the map's edge [m]; negative where violated."""
+        """Return the margin (...) of states (..., n) to d_min and the map's edge [m]; negative if violated."""
         states = np.asarray(states, dtype=float)
         points = states[..., self.positions]
         low, high = self.state_bounds[:, self.positions]
@@ -143,7 +145,7 @@ class OptimalControlProblem:
         return np.minimum(inside, signed_distance(self.obstacles, points) - self.clearance)
 
     def refusal(self, state: ArrayLike) -> str:
-        """Explain why no trajectory can begin in `state` (n,); empty if it may."""
+        """Explain why no trajectory can start in `state` (n,); empty if it can."""
         state = np.asarray(state, dtype=float)
         names = self.system.state_names
         if state.shape != (len(names),) or not np.isfinite(state).all():
@@ -160,7 +162,7 @@ class OptimalControlProblem:
         return ""
 
     def terminal_violation(self, state: ArrayLike) -> float:
-        """Return how far a state (n,) is outside the terminal set [m, rad, ...]; zero or less inside."""
+        """Return the distance of a state (n,) outside the terminal set [m, rad, ...]; zero or less inside."""
         state = np.asarray(state, dtype=float)
         out = coordinates.outside(self.terminal, self.system.state_names, self.periods, state)
         if self.terminal.disc is not None:
@@ -169,13 +171,13 @@ class OptimalControlProblem:
 
 
 def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float | None = None) -> OptimalControlProblem:
-    """Return a task's problem.
+    """Formulate the problem of a task.
 
     Args:
         task: Task with a part `optimal_control`; obstacles only in an arena.
         form: Form of the problem, one of `FORMS`.
-        clearance: Minimum distance d_min from obstacles [m]; defaults to the task's, raised above the body's radius
-            where it is less, because the body collides there.
+        clearance: Minimum distance d_min from obstacles [m]; defaults to the task's, raised above the body's radius if
+            necessary, because the body would collide.
 
     Raises:
         OcError: The task lacks a part of the problem, or its terminal set is empty within the bounds.
@@ -226,10 +228,9 @@ def _goal(task: NavigationTask) -> tuple[float, float]:
 
 
 def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
-    """Return the model with the controls' bounds that the form wants: the task's own hold the speed of a car.
+    """Return the model with the control bounds required by the form; the task's own fix the speed of a car.
 
-    A control that `optimal_control.controls` leaves out keeps the bounds of `system.controls`, and the model's where
-    these leave it out, too.
+    A control missing from `optimal_control.controls` keeps the bounds of `system.controls`, or else the model's.
     """
     own = task.system.build()
     if form != "free_speed":
@@ -243,7 +244,7 @@ def _system(task: NavigationTask, oc: OptimalControlSpec, form: Form) -> System:
 
 
 def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
-    """Return the goal ("final state in G", Eq. 3.16) within the task's terminal set, slightly shrunk."""
+    """Return the goal ("final state in G", Eq. 3.16) intersected with the task's terminal set, slightly shrunk."""
     goal, wanted = task.goal.region, (oc.terminal_set or task.goal).region
     intervals = {}
     for name in {**goal.intervals, **wanted.intervals}:
@@ -259,7 +260,7 @@ def _terminal(task: NavigationTask, oc: OptimalControlSpec) -> Region:
 
 
 def _state_bounds(task: NavigationTask, oc: OptimalControlSpec, system: System, clearance: float) -> Array:
-    """Return (2, n): the bounds of task and model, less what ends an episode: d_min from a wall, too much tilt."""
+    """Return the state bounds (2, n) of task and model, reduced by d_min from walls and by the tilt limit."""
     bounds = np.array([[-np.inf] * len(system.states), [np.inf] * len(system.states)])
     for name, interval in oc.bounds.items():
         if name not in system.state_names:

@@ -13,7 +13,7 @@ _TRIES = 10_000
 
 
 def state_space(problem: OptimalControlProblem) -> Array:
-    """Return the bounds of start states (2, n): the problem's, or the model's where the problem has none."""
+    """Return the bounds of start states (2, n): the problem's, or else the model's."""
     own = np.array([[s.lower for s in problem.system.states], [s.upper for s in problem.system.states]])
     space = np.where(np.isfinite(problem.state_bounds), problem.state_bounds, own)
     if not np.isfinite(space).all():
@@ -29,10 +29,10 @@ def draw_episode_start(problem: OptimalControlProblem, random: np.random.Generat
 
 
 def draw_start(problem: OptimalControlProblem, random: np.random.Generator) -> Array:
-    """Draw one state (n,) uniformly from the state space outside the obstacles grown by d_min.
+    """Draw one state (n,) uniformly from the state space outside the obstacles inflated by d_min.
 
     Raises:
-        OcError: There is hardly any free space.
+        OcError: There is almost no free space.
     """
     low, high = state_space(problem)
     for _ in range(_TRIES):

@@ -1,4 +1,4 @@
-"""Learning with V_oc as baseline, and what it is compared with (thesis 3.3.3). Robots need none of it."""
+"""Learning with V_oc as baseline, and its comparisons (thesis 3.3.3). Not needed on robots."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""The commands `train` and `plot`: learning with every baseline, and pictures of it."""
+"""The commands `train` and `plot`: learning with every baseline, and its figures."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _MAIN = ("oc_ppo", "ppo", "oc_corrected")
 
 @dataclass(frozen=True, kw_only=True)
 class Train(SimulatedOptions):
-    """Learn a task's sparse reward with policy gradients, from several seeds; an interrupted run continues."""
+    """Learn a task's sparse reward with policy gradients, from several seeds; interrupted runs are resumed."""
 
     folder: FolderToWrite = Path("runs/oc_training")
-    """Folder of the runs; each run has a subfolder and continues there where it stopped."""
+    """Folder of the runs; each run has a subfolder, from which it is resumed."""
     methods: Annotated[tuple[str, ...], some_of(METHODS)] = ()
-    """Methods to learn with; by default oc_ppo ppo oc_corrected."""
+    """Methods to train; by default oc_ppo ppo oc_corrected."""
     compare: Annotated[tuple[str, ...], some_of([*GROUPS, "all"])] = ()
-    """Figures or tables of the thesis whose methods to learn with, instead of --methods."""
+    """Figures or tables of the thesis whose methods to train, instead of --methods."""
     value: Path | None = None
-    """Network of V_oc that `oc fit` wrote; by default the one in the package."""
+    """Network of V_oc written by `oc fit`; by default the shipped one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(TaskPlotOptions):
-    """Draw success, return, advantages and paths (thesis Fig. 3.9 to 3.16) from the results that `train` wrote."""
+    """Draw success, return, advantages and paths (thesis Fig. 3.9 to 3.16) from the results written by `train`."""
 
 
 def _train(options: Train) -> int:

@@ -1,4 +1,4 @@
-"""Pictures of learning: success (thesis Fig. 3.14), return (3.10, 3.13, 3.16), advantages (3.12), paths (3.9, 3.15)."""
+"""Figures on learning: success (thesis Fig. 3.14), return (3.10, 3.13, 3.16), advantages (3.12), paths (3.9, 3.15)."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _OfSeed = Annotated[list[_Updates], Field(min_length=1, max_length=100_000)]
 
 
 class Learnt(Figures):
-    """Data for pictures of learnt paths."""
+    """Data for figures of learnt paths."""
 
     curves: dict[str, ReturnCurve]
     paths: dict[str, list[DrivenPath]]
 
 
 class Learning(Learnt):
-    """Data for pictures of learning, see `results.collect`."""
+    """Data for figures of learning, see `results.collect`."""
 
     advantages: dict[str, Annotated[list[_OfSeed], Field(min_length=1)]]
 
@@ -55,7 +55,7 @@ class Learning(Learnt):
 
 
 def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> Iterator[Path]:
-    """Draw all pictures of a task's results and return their files; methods that were not run are left out."""
+    """Draw all figures of a task's results and return their files; methods without runs are omitted."""
     for group, methods in GROUPS.items():
         there = [name for name in METHODS if name in methods and name in figures["curves"]]
         if len(there) > 1 and (group == "ablation" or not set(there) <= set(_MAIN)):
@@ -70,7 +70,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, folder: Path) -> 
 
 
 def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) -> Iterator[Path]:
-    """Draw the success and the return of methods while learning, and return the two files."""
+    """Draw success and return of methods during training, and return the two files."""
     for key, measure, file in (("success", SUCCESS, path), ("total", RETURN, path.with_stem(f"{path.stem}_return"))):
         lines = [line_of(name, METHODS[name].label, figures["curves"][name], key) for name in methods]
         draw_learning(file, f"{figures['task']}: {best_of(lines, measure)}", [Panel("", lines[:MOST_LINES])], measure)
@@ -78,7 +78,7 @@ def draw_curves(figures: Mapping[str, Any], methods: Sequence[str], path: Path) 
 
 
 def draw_advantages(figures: Mapping[str, Any], path: Path) -> Path:
-    """Draw the range of advantages, 5 to 95 % of each roll-out, with and without V_oc (Fig. 3.12)."""
+    """Draw the 5 to 95 % range of each roll-out's advantages, with and without V_oc (Fig. 3.12)."""
     ranges = {}
     for name in _WITH_AND_WITHOUT:
         seeds = figures["advantages"].get(name)

@@ -1,6 +1,6 @@
-"""Value data: a folder of chunks of solved trajectories, and their values (thesis Eq. 3.13).
+"""Value data: a folder with chunks of solved trajectories and their values (thesis Eq. 3.13).
 
-Reading them needs no solver; `oc_baseline_node.value_data.workers` makes them.
+Reading the data needs no solver; `oc_baseline_node.value_data.workers` generates it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from oc_baseline_node.values.returns import returns, rewards, step_discount
 Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
 LOCK = ".lock"
-"""File in a folder of value data that locks out a second call."""
+"""File in a value data folder that locks it against a second call."""
 DOOMED = "cannot keep clear for a second, goal or not"
 """Reason given for doomed starts."""
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[+-]?\d+)?(?![\w.])")
 _LARGEST_CHUNK = 2_000_000_000
-"""Bytes of the arrays of a chunk."""
+"""Maximum size of a chunk's arrays [bytes]."""
 _KINDS = dict.fromkeys(("states", "controls", "time_steps", "cpu_seconds", "unsolved", "wasted_seconds"), "f") | {
     "reasons": "U",
     "doomed": "b",
@@ -68,11 +68,11 @@ class DataSettings:
 
     Attributes:
         trajectories: Number of solved trajectories.
-        chunk: Number of trajectories in a file.
-        seed: Seed of the starts, zero or more.
+        chunk: Number of trajectories per file.
+        seed: Random seed of the starts, >= 0.
 
     Raises:
-        OcError: There would be nothing to make.
+        OcError: There would be nothing to generate.
     """
 
     trajectories: int
@@ -103,11 +103,11 @@ class ValueData:
     Attributes:
         states: States of the solved trajectories (N, H+1, n).
         controls: Controls of the solved trajectories (N, H, m).
-        time_steps: Durations of their steps (N,) [s].
+        time_steps: Step durations of the solved trajectories (N,) [s].
         cpu_seconds: CPU time of each solved trajectory (N,) [s].
         unsolved: Starts without a trajectory (K, n).
         reasons: Status of the solver for each start without a trajectory.
-        doomed: Whether such a start cannot stay clear of obstacles and bounds for even a second (K,).
+        doomed: Whether the start cannot avoid obstacles and bounds for even one second (K,).
         wasted_seconds: CPU time spent on each start without a trajectory (K,) [s].
     """
 
@@ -127,7 +127,7 @@ class ValueData:
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Number of starts without a trajectory by reason, the most frequent first; all doomed ones count as one."""
+        """Number of starts without a trajectory by reason, the most frequent first; doomed ones count as one."""
         kinds = (DOOMED if hopeless else _NUMBER.sub("...", reason)
                  for reason, hopeless in zip(self.reasons, self.doomed, strict=True))  # fmt: skip
         return dict(Counter(kinds).most_common())
@@ -139,21 +139,21 @@ class ValueData:
 
     @property
     def success_rate_of_viable(self) -> float:
-        """Fraction of starts with a trajectory among those that are not doomed."""
+        """Fraction of starts with a trajectory among the non-doomed starts."""
         return len(self.states) / (len(self.states) + int(np.sum(~self.doomed)))
 
     def samples(
         self, problem: OptimalControlProblem, discount: float | None = None, whole_horizon: bool = False
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return x_m as states of the task (N, H+1, n), V(x_m) by Eq. 3.13, and whether an episode visits it (N, H+1).
+        """Return x_m as task states (N, H+1, n), V(x_m) by Eq. 3.13, and whether an episode visits it (N, H+1).
 
         An episode ends with its first goal, trap or collision; it does not visit later states of the trajectory.
 
         Args:
             problem: Optimal control problem of the task with the rewards.
-            discount: Discount of one step of the task's policy; the task's own unless given.
-            whole_horizon: Whether the sum continues after arrival to the end of the horizon, as the thesis may be read;
-                every state then counts.
+            discount: Discount per policy step; the task's own by default.
+            whole_horizon: Whether the sum continues after arrival to the end of the horizon, a possible reading of the
+                thesis; every state then counts.
         """
         states = problem.task_states(self.states)
         paid, ended = rewards(problem.task, states)
@@ -165,7 +165,7 @@ class ValueData:
 
 
 def description(problem: OptimalControlProblem, settings: DataSettings) -> dict[str, Any]:
-    """Return the description of value data; other settings need another folder."""
+    """Return the description of value data; data with other settings needs another folder."""
     return {
         "format": FORMAT,
         "task": problem.task.name,
@@ -179,7 +179,7 @@ def description(problem: OptimalControlProblem, settings: DataSettings) -> dict[
 
 
 def chunk_file(folder: Path, index: int) -> Path:
-    """Return the file of a chunk."""
+    """Return the path of a chunk's file."""
     return folder / f"chunk-{index:04d}.npz"
 
 
@@ -195,11 +195,11 @@ def write_chunk(folder: Path, index: int, data: ValueData) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for value data, unless it exists.
+    """Create a folder for value data unless it exists.
 
     Raises:
-        OcError: It holds something else, apart from what a killed call leaves behind.
-        OSError: it cannot be made.
+        OcError: The folder has other content, apart from leftovers of a killed call.
+        OSError: The folder cannot be created.
     """
     folder.mkdir(parents=True, exist_ok=True)
     other = [file for file in folder.iterdir() if file.name != LOCK and not is_temporary(file)]
@@ -208,13 +208,13 @@ def make_folder(folder: Path) -> None:
 
 
 def open_folder(folder: Path, problem: OptimalControlProblem, settings: DataSettings) -> list[int]:
-    """Begin or continue value data in a folder of `make_folder`; return the missing chunks.
+    """Start or continue value data in a folder of `make_folder`; return the indices of the missing chunks.
 
-    The caller must hold the folder's lock, because half-written files of a killed call are removed.
+    The caller must hold the folder's lock, because partial files of a killed call are removed.
 
     Raises:
-        OcError: the folder holds data of other settings.
-        OSError: it cannot be written to.
+        OcError: The folder has data with other settings.
+        OSError: The folder cannot be written to.
     """
     file = folder / "settings.json"
     if file.exists():
@@ -238,10 +238,10 @@ def _lacking(folder: Path, settings: DataSettings) -> list[int]:
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """Return the description of a folder of value data.
+    """Read the description of a value data folder.
 
     Raises:
-        OcError: there is none, or it is wrong.
+        OcError: The description is missing or invalid.
     """
     file = folder / "settings.json"
     if not file.is_file():
@@ -254,7 +254,7 @@ def load_data(folder: Path, problem: OptimalControlProblem) -> ValueData:
     """Read a whole folder of value data.
 
     Raises:
-        OcError: it belongs to another problem, chunks are missing, or one cannot be read.
+        OcError: The data belongs to another problem, or a chunk is missing or unreadable.
     """
     there = read_description(folder)
     settings = DataSettings(*(int(there[name]) for name in ("trajectories", "chunk", "seed")))
@@ -266,7 +266,7 @@ def load_data(folder: Path, problem: OptimalControlProblem) -> ValueData:
 
 
 def join(parts: list[ValueData]) -> ValueData:
-    """Join chunks."""
+    """Concatenate chunks."""
     names = [name for name in ValueData.__annotations__ if name != "reasons"]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return ValueData(reasons=tuple(reason for part in parts for reason in part.reasons), **arrays)

@@ -1,4 +1,4 @@
-"""Reports on value data and a fit: lines for a terminal, and rows of a results file."""
+"""Reports on value data and a fit: text lines, and rows of a results file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from oc_baseline_node.value_data.dataset import ValueData
 from oc_baseline_node.values.mlp_value import MlpValue
 
 _EPISODES = 10
-"""Number of episode starts that `oc data` tries."""
+"""Number of episode starts tried by `oc data`."""
 
 
 def remarks(problem: OptimalControlProblem, rounded: tuple[str, ...]) -> list[str]:
-    """Return lines about controls that the task file does not bound, and about smoothed operations of the model.
+    """Return remarks on controls not bounded by the task file, and on smoothed operations of the model.
 
     Args:
         problem: Optimal control problem.
@@ -44,7 +44,7 @@ def start_set(problem: OptimalControlProblem, seed: int) -> str:
 
 
 def report(data: ValueData) -> str:
-    """Report how many starts have a trajectory, and why the others have none."""
+    """Report how many starts have a trajectory, and the reasons for those without."""
     solved, in_all = len(data.states), data.cpu_seconds.sum() + data.wasted_seconds.sum()
     lines = [
         f"trajectories  {solved} of {data.states.shape[1] - 1} steps",
@@ -59,7 +59,7 @@ def report(data: ValueData) -> str:
 
 
 def value_rows(data: ValueData, value: MlpValue) -> list[Result]:
-    """Return rows about making the data and about the error of V_oc on them; the thesis has 800 x 140 states."""
+    """Return result rows on generating the data and on the error of V_oc; the thesis has 800 x 140 states."""
     count, horizon = len(data.states), data.states.shape[1] - 1
     tried, doomed = data.starts, int(data.doomed.sum())
     unseen, seconds = value.manifest["held_out"], data.cpu_seconds

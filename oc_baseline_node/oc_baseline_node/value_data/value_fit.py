@@ -1,4 +1,4 @@
-"""Fits V_oc to value data: an MLP of 64 x 64 tanh units, tested on trajectories it has not seen (3.3.2)."""
+"""Fits V_oc to value data: an MLP with 64 x 64 tanh units, tested on held-out trajectories (3.3.2)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 _FINE = {"position": 81, "angle": 36, "rate": 21}
 _COARSE = {"position": 21, "angle": 18, "rate": 7}
 _TESTED = 80
-"""Number of test trajectories, if there are enough: few have large errors, so a handful may have none."""
+"""Number of test trajectories, if enough: large errors are rare, so a small test set may contain none."""
 _MOST_FOLDS = 5
 _RESAMPLED = 1000
 _LARGE = 3
-"""Maximum number of state components with a fine grid."""
+"""Maximum number of state components for a fine grid."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class FitSettings:
     """Settings of the fit.
 
     Attributes:
-        discount: Discount of one step of the task's policy, in Eq. 3.13; the task's own unless given.
-        whole_horizon: whether Eq. 3.13 sums on after arrival.
-        hidden: units of each hidden layer.
-        epochs: passes over the data.
-        batch: samples to a step.
-        learning_rate: the largest; it falls along a cosine.
-        held_out: part of the trajectories kept for the test.
+        discount: Discount per policy step, in Eq. 3.13; the task's own by default.
+        whole_horizon: Whether Eq. 3.13 is summed beyond arrival.
+        hidden: Number of units of each hidden layer.
+        epochs: Number of passes over the data.
+        batch: Minibatch size.
+        learning_rate: Initial learning rate, with cosine decay.
+        held_out: Fraction of the trajectories held out for the test.
         seed: Seed of the split, the weights and the order of the samples.
     """
 
@@ -58,19 +58,19 @@ class FitSettings:
 def fit(
     problem: OptimalControlProblem, data: ValueData, settings: FitSettings | None = None, progress: bool = True
 ) -> MlpValue:
-    """Fit V_oc to value data up to each arrival; its manifest has the error on held-out trajectories.
+    """Fit V_oc to value data up to each arrival; the manifest has the error on held-out trajectories.
 
-    A tenth of few trajectories is too little to measure the error. Then up to four more networks are fitted in the same
-    way, each with other trajectories held out, and the error covers all of them.
+    If a tenth of the trajectories is too small a test set, up to four more networks are fitted in the same way with
+    other trajectories held out, and the error covers all of them.
 
     Args:
         problem: Optimal control problem of the data.
-        data: Trajectories; samples are the states that an episode would visit.
-        settings: Settings of the fit; the defaults unless given.
-        progress: Whether to show a bar.
+        data: Trajectories; the samples are the states visited by an episode.
+        settings: Settings of the fit; the default ones if omitted.
+        progress: Whether to show a progress bar.
 
     Raises:
-        OcError: There are too few trajectories to hold some out.
+        OcError: There are too few trajectories to hold any out.
     """
     settings = settings or FitSettings()
     discount = problem.discount if settings.discount is None else settings.discount
@@ -124,7 +124,7 @@ def _fit_once(
 
 
 def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
-    """Return the axes of V_oc: the area within walls, full turns, and rates as far as trajectories (..., n) reach."""
+    """Return the axes of V_oc: the area within walls, full turns, and the range of rates in trajectories (..., n)."""
     space = state_space(problem)
     components, walls = problem.task.system.build().states, problem.task.plane_bounds
     counts = _FINE if len(components) <= _LARGE else _COARSE
@@ -145,7 +145,7 @@ def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
 
 
 def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[tuple[Array, Array], ...]:
-    """Train layers to map x (N, F) to y (N,), both standardised; return their weights and biases."""
+    """Train layers to map x (N, F) to y (N,), both standardised; return weights and biases."""
     torch.set_num_threads(1)  # more threads only slow small layers down
     generator = torch.Generator().manual_seed(settings.seed)
     linears = [nn.Linear(a, b) for a, b in zip((x.shape[1], *settings.hidden), (*settings.hidden, 1), strict=True)]

@@ -1,7 +1,7 @@
-"""Makes value data from random starts (thesis 3.3.2), chunk by chunk, in several processes or on a Ray cluster.
+"""Generates value data from random starts (thesis 3.3.2), chunk by chunk, in several processes or on a Ray cluster.
 
-A chunk draws starts from its own generator until it has enough solved trajectories. The data thus depend only on seed
-and chunk size, not on the number of processes or on interruptions.
+A chunk draws starts from its own generator until it has enough solved trajectories. The data therefore depends only on
+seed and chunk size, not on the number of processes or on interruptions.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from oc_baseline_node.value_data.dataset import (
 
 _LOOK_AHEAD_S = 1.0
 _MOST_STARTS = 20
-"""Maximum number of starts tried per trajectory before a chunk gives up."""
+"""Maximum number of starts per trajectory before a chunk is abandoned."""
 
 
 class ChunkSolver:
-    """Makes chunks of a problem's value data; sets up its programs once."""
+    """Generates chunks of a problem's value data; sets up the programs once."""
 
     def __init__(self, problem: OptimalControlProblem, settings: DataSettings) -> None:
         self._problem = problem
@@ -56,10 +56,10 @@ class ChunkSolver:
         self._keeps_clear = Mpc(self._clear)
 
     def solve(self, index: int) -> ValueData:
-        """Return chunk `index`.
+        """Generate chunk `index`.
 
         Raises:
-            OcError: Hardly any start has a trajectory.
+            OcError: Almost no start has a trajectory.
         """
         random = np.random.default_rng([self._settings.seed, index])
         wanted = self._settings.size(index)
@@ -91,7 +91,7 @@ class ChunkSolver:
 
 
 _solver: ChunkSolver
-"""One per worker process: setting up the programs takes as long as a chunk."""
+"""Solver of a worker process, created once because the setup takes as long as a chunk."""
 
 
 def make_data(
@@ -102,19 +102,19 @@ def make_data(
     progress: bool = True,
     ray: str | None = None,
 ) -> tuple[ValueData, float, float]:
-    """Complete a folder of value data; return all data, and the wall and CPU time this took [s].
+    """Complete a folder of value data; return all data, and the wall and CPU time taken [s].
 
     Args:
-        problem: Optimal control problem, as `formulate` made it.
+        problem: Optimal control problem from `formulate`.
         settings: Number of trajectories, size of a chunk and seed.
-        folder: Folder with one file per chunk; existing chunks are not made again.
-        workers: Number of processes; 1 for this process only.
-        progress: Whether to show a bar.
-        ray: Address of a Ray cluster that solves as many chunks at a time as it can; None for processes.
+        folder: Folder with one file per chunk; existing chunks are kept.
+        workers: Number of worker processes; 1 to use only this process.
+        progress: Whether to show a progress bar.
+        ray: Address of a Ray cluster that solves as many chunks in parallel as it can; None for local processes.
 
     Raises:
-        OcError: The folder holds something else, or hardly any start has a trajectory.
-        LockError: Another call is working in the folder.
+        OcError: The folder has other content, or almost no start has a trajectory.
+        LockError: Another process is using the folder.
         WorkersError: A worker was killed.
     """
     wall, cpu = time.monotonic(), _cpu_seconds()
@@ -140,7 +140,7 @@ def make_data(
 def _finished(
     problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int], workers: int
 ) -> Iterator[tuple[int, float]]:
-    """Make the chunks; yield the index of each finished one and the CPU time of its solvers' processes [s]."""
+    """Generate the chunks; yield the index of each finished one and the CPU time of its solver processes [s]."""
     if not lacking:
         return
     terms = (problem.task, problem.form, problem.clearance, settings)
@@ -154,7 +154,7 @@ def _finished(
 def _finished_by_ray(
     address: str, problem: OptimalControlProblem, settings: DataSettings, folder: Path, lacking: list[int]
 ) -> Iterator[tuple[int, float]]:
-    """Solve the chunks on a cluster and write them here; yield the index of each, with no CPU time of this machine."""
+    """Solve the chunks on a cluster and write them here; yield each index, with zero local CPU time."""
     if not lacking:
         return
     solve = partial(_solve_there, (problem.task, problem.form, problem.clearance, settings))

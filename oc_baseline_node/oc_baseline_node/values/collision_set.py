@@ -1,7 +1,7 @@
-"""States in which V_oc needs no regression: a collision ends the episode, and Eq. 3.13 is the task's reward for it.
+"""States with a known V_oc: a collision ends the episode, and Eq. 3.13 gives the task's collision reward.
 
-If a network had to learn these steps of 1400 between neighbouring states, it would err by hundreds elsewhere, where
-values differ by tens. NumPy only; a file of values carries its collision set.
+If a network had to learn these jumps of 1400 between neighbouring states, its error would be hundreds elsewhere, where
+values differ by tens. NumPy only; a value file includes its collision set.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ class CollisionHeader(Schema):
 
 @dataclass(frozen=True)
 class CollisionSet:
-    """States in which the body, a disc, touches a wall or an obstacle, or tilts too far.
+    """States in which the body, a disc, touches a wall or an obstacle, or exceeds the tilt limit.
 
     Attributes:
         shapes: Walls and obstacles.
         radius: Radius of the robot's body [m].
         reward: Reward of a collision.
-        tilt_limit: Maximum |psi| [rad], infinite for none.
-        tilt_reward: Reward beyond it.
+        tilt_limit: Maximum |psi| [rad]; infinite for none.
+        tilt_reward: Reward beyond the tilt limit.
     """
 
     shapes: tuple[Shape, ...]
@@ -74,7 +74,7 @@ class CollisionSet:
 
     @classmethod
     def of(cls, task: NavigationTask) -> CollisionSet:
-        """Return a task's collision set."""
+        """Create the collision set of a task."""
         world = task.build_world()
         limit = np.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
         return cls(
@@ -110,6 +110,6 @@ class CollisionSet:
 
     @classmethod
     def from_file(cls, told: CollisionHeader) -> CollisionSet:
-        """Build the set from the JSON values of `as_json`."""
+        """Create the set from the JSON values of `as_json`."""
         limit = np.inf if told.tilt_limit is None else told.tilt_limit
         return cls(tuple(shape.shape for shape in told.shapes), told.radius, told.reward, limit, told.tilt_reward)

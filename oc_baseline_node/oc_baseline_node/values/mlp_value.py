@@ -1,7 +1,7 @@
-"""A value function as a small network, V_oc of thesis 3.3.2, evaluated with NumPy alone.
+"""A value function as a small network, V_oc of thesis 3.3.2, evaluated in NumPy only.
 
-Inputs are the state's components scaled to [-1, 1] over their domain, an angle as its cosine and sine; tanh layers;
-the output is scaled back to reward. It is a `ctrl_rl_core.values.value_function.ValueFunction`.
+Inputs are the state's components scaled to [-1, 1] over their domain, with an angle as its cosine and sine; layers are
+tanh; the output is scaled back to reward. Implements `ctrl_rl_core.values.value_function.ValueFunction`.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class MlpValue:
     """V_oc over a box of states; NaN outside.
 
     Attributes:
-        layers: Weights (out, in) and biases (out,) of each layer, the last with one output.
+        layers: Weights (out, in) and biases (out,) of each layer; the last has one output.
         axes: Name, unit, domain and number of grid nodes of each state component.
         offset: Offset of the scaled output [reward].
         scale: Scale of the network's output [reward].
         task: Name of the task.
         task_digest: SHA-256 of the task.
-        collisions: States with a known value, or None for the network alone.
+        collisions: States with a known value; None to use only the network.
         manifest: Description of the data and the quality of the fit, plain JSON values.
 
     Raises:
-        OcError: Shapes do not fit together, or numbers are not finite.
+        OcError: Shapes are inconsistent, or numbers are not finite.
     """
 
     layers: tuple[tuple[Array, Array], ...]
@@ -79,12 +79,12 @@ class MlpValue:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the file that it is saved as."""
+        """SHA-256 of the file written for this network."""
         return hashlib.sha256(self.encoded).hexdigest()
 
     @property
     def encoded(self) -> bytes:
-        """Bytes of the network's file, which `value_file.load_value` reads: the same for the same network."""
+        """Bytes of the network's file, read by `value_file.load_value`; deterministic for the same network."""
         tensors = {}
         for index, (weight, bias) in enumerate(self.layers):
             tensors[f"weight_{index}"] = np.ascontiguousarray(weight, dtype=np.float32)
@@ -121,7 +121,7 @@ class MlpValue:
         )
 
     def _values_at_nodes(self) -> NDArray[np.float32]:
-        """Return the values at all nodes of the axes, in batches: six components have millions."""
+        """Return the values at all nodes of the axes, in batches, since six components have millions of nodes."""
         out = np.empty([axis.count for axis in self.axes], dtype=np.float32)
         flat, nodes = out.reshape(-1), [axis.nodes for axis in self.axes]
         for part in batches(flat.size):
@@ -134,7 +134,7 @@ class MlpValue:
         """Values (...) at states (..., n), NaN outside the domain.
 
         Raises:
-            OcError: The states' last dimension is not n.
+            OcError: The last dimension of the states is not n.
         """
         rows, shape = self._rows(states)
         out = np.empty(len(rows))
@@ -161,16 +161,16 @@ class MlpValue:
         return float(value[0]), gradient[0]
 
     def clipped(self, states: ArrayLike) -> Array:
-        """Return states (..., n) moved to the nearest point of the domain, where they lie outside."""
+        """Clip states (..., n) to the domain."""
         low, high = self._domain
         return np.clip(np.asarray(states, dtype=float), low, high)
 
     def without_collisions(self) -> MlpValue:
-        """Return the network alone, smooth across the edges of obstacles."""
+        """Return only the network, which is smooth across the edges of obstacles."""
         return replace(self, collisions=None)
 
     def _replace(self, rows: Array, values: Array) -> NDArray[np.bool_]:
-        """Replace the network's values (N,) of colliding rows (N, n) by the known ones; return which collide."""
+        """Replace the network's values (N,) of colliding rows (N, n) by the known ones; return which rows collide."""
         collision = np.zeros(len(rows), dtype=bool)
         if self.collisions is not None:
             paid = self.collisions.rewards(self.state_names, rows)
@@ -191,7 +191,7 @@ class MlpValue:
         return np.all((rows >= low) & (rows <= high) & np.isfinite(rows), axis=1)
 
     def _forward(self, rows: Array) -> tuple[Array, list[Array]]:
-        """Return values (N,) and the hidden layers' outputs."""
+        """Return values (N,) and the outputs of the hidden layers."""
         h, hidden = features(self.axes, rows), []
         for weight, bias in self.layers[:-1]:
             h = np.tanh(h @ weight.T + bias)
@@ -214,7 +214,7 @@ def feature_count(axes: tuple[Axis, ...]) -> int:
 
 
 def features(axes: tuple[Axis, ...], rows: Array) -> Array:
-    """Return the network's inputs (N, F) for states (N, n): an angle's cosine and sine, the rest scaled to [-1, 1]."""
+    """Return the network's inputs (N, F) for states (N, n): cosine and sine of angles, the rest scaled to [-1, 1]."""
     columns: list[Array] = []
     for index, axis in enumerate(axes):
         x = rows[:, index]
@@ -227,7 +227,7 @@ def features(axes: tuple[Axis, ...], rows: Array) -> Array:
 
 
 def feature_gradient(axes: tuple[Axis, ...], rows: Array, slope: Array) -> Array:
-    """Return the gradient by states (N, n), given that by features (N, F)."""
+    """Return the gradient with respect to states (N, n), given that with respect to features (N, F)."""
     out, column = np.empty(rows.shape), 0
     for index, axis in enumerate(axes):
         if axis.periodic:

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) -> Array:
-    """Return the discount of MPC steps of duration `time_steps` [s] (...), from that of a policy's step."""
+    """Return the discount of MPC steps of duration `time_steps` [s] (...), given the discount per policy step."""
     return np.power(discount, np.asarray(time_steps, dtype=float) / task.episode.time_step)
 
 
@@ -34,14 +34,14 @@ def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.
 
 
 def returns(paid: ArrayLike, ended: ArrayLike, discount: ArrayLike) -> Array:
-    """Return V(x_m) = sum over i >= m of discount^(i-m) r(x_i) (..., H+1): Eq. 3.13 with r(x_i) for its r(x_m).
+    """Return V(x_m) = sum over i >= m of discount^(i-m) r(x_i) (..., H+1): Eq. 3.13 with r(x_i) in place of r(x_m).
 
-    The sum stops at the first state that ends an episode, as the policy's does: H_j is the step of arrival.
+    The sum stops at the first state that ends an episode, as for the policy: H_j is the step of arrival.
 
     Args:
         paid: Rewards r(x_0) .. r(x_H) (..., H+1).
         ended: Whether the episode ends there (..., H+1); all False to sum over the whole horizon.
-        discount: Discount of each step (...), or one for all.
+        discount: Discount of each step (...), or a single one.
     """
     paid, goes_on = np.asarray(paid, dtype=float), ~np.asarray(ended, dtype=bool)
     out = paid.copy()

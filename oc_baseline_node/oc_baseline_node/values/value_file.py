@@ -1,4 +1,4 @@
-"""Files of optimal control values: a network in safetensors with a JSON manifest, or a value grid. No pickles."""
+"""Files of optimal control values: a network in safetensors with a JSON manifest, or a value grid."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Errors(Schema):
 
 
 class _Manifest(Schema):
-    """Data and settings of the fit; further keys are informative."""
+    """Data and settings of the fit; other keys are informative."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -85,16 +85,16 @@ def save_value(value: MlpValue, path: Path, overwrite: bool = False) -> None:
 
 
 def shipped_values() -> dict[str, Path]:
-    """Return the networks that ship with the package, by task."""
+    """Return the shipped networks by task."""
     folder = Path(str(files("oc_baseline_node"))) / "values" / "pretrained"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def find_value(name_or_path: str | Path) -> Path:
-    """Return the file of a shipped network, or the path itself.
+    """Return the file of a shipped network, or the path unchanged.
 
     Raises:
-        OcError: There is no such file.
+        OcError: The file does not exist.
     """
     shipped = shipped_values()
     path = shipped.get(str(name_or_path), Path(name_or_path).expanduser())
@@ -107,10 +107,10 @@ def find_value(name_or_path: str | Path) -> Path:
 
 
 def load_value(path: Path) -> ValueFunction:
-    """Read a network or a value grid.
+    """Load a network or a value grid.
 
     Raises:
-        CtrlRlError: There is no such file, or it is neither.
+        CtrlRlError: The file does not exist, or is neither.
     """
     with raise_as(OcError, path, "fit it again"):
         if HEADER_KEY not in kind_of(path):
@@ -120,10 +120,10 @@ def load_value(path: Path) -> ValueFunction:
 
 
 def load_network(path: Path) -> MlpValue:
-    """Read a network.
+    """Load a network.
 
     Raises:
-        CtrlRlError: As in `load_value`, or the file holds a grid.
+        CtrlRlError: As for `load_value`, or the file contains a grid.
     """
     value = load_value(path)
     if not isinstance(value, MlpValue):

@@ -1,8 +1,8 @@
-"""`ros2 run oc_baseline_node analyse`: model against simulator, MPC in the simulator, accuracy of gradient estimates.
+"""The command `ros2 run oc_baseline_node analyse`: model mismatch, MPC in the simulator, accuracy of gradients.
 
 analyse mismatch      Table 3.5: distance of model and simulator after 1, 5 and 10 steps
-analyse mpc           Fig. 3.17: MPC with a receding horizon in the simulator, beside the learnt policy
-analyse speed         processor time of MPC that begins with its plan, beside the interior point's
+analyse mpc           Fig. 3.17: receding-horizon MPC in the simulator, compared with the learnt policy
+analyse speed         CPU time of warm-started MPC, compared with the interior point
 analyse gradient      Table 3.7: cosine similarity of estimated and true policy gradient
 
 Comparisons of learning (advantages, noise, entropy, other baselines) come from `train --compare ...`.
@@ -51,46 +51,46 @@ _PerCents = Annotated[tuple[float, ...], checked_list(_per_cent, "PER_CENT", sho
 
 @dataclass(frozen=True, kw_only=True)
 class _Analysis:
-    """Options that every analysis has."""
+    """Options common to all analyses."""
 
     seed: NotNegative = 0
-    """Seed of everything random."""
+    """Random seed."""
     results: FolderToWrite = _RESULTS
-    """Folder of the JSON files."""
+    """Folder for the JSON files."""
     images: FolderToWrite = _IMAGES
-    """Folder of the pictures."""
+    """Folder for the figures."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch(_Analysis):
-    """Measure the distance of model and simulator after 1, 5 and 10 steps (Table 3.5)."""
+    """Measure the distance between model and simulator after 1, 5 and 10 steps (Table 3.5)."""
 
     roll_outs: Positive = 50
-    """Number of roll-outs of each row; the thesis has 10."""
+    """Number of roll-outs per row; the thesis has 10."""
     heavier: _PerCents = (10.0,)
     """Percentages by which the simulated quadrotor's mass and inertia also exceed the model's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MpcDrives(_Analysis):
-    """Run MPC with a receding horizon in the simulator, and draw it beside the learned policy (Fig. 3.17)."""
+    """Run receding-horizon MPC in the simulator, and draw it next to the learnt policy (Fig. 3.17)."""
 
     task: str = "quad_navigation"
     """Name or .yaml file of the task."""
     episodes: Positive = 5
-    """Number of episodes of MPC."""
+    """Number of MPC episodes."""
     learnt: Path | None = None
     """JSON file of `train --results` with a learned path to draw; by default none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Speed(_Analysis):
-    """Compare the CPU time of warm-started MPC with the interior point's."""
+    """Compare the CPU time of warm-started MPC with that of the interior point."""
 
     tasks: tuple[str, ...] = ("car_navigation", "quad_navigation", "quad_trap", "curved_corridor")
     """Names or .yaml files of the tasks."""
     starts: Positive = 40
-    """Number of random starts of each task."""
+    """Number of random starts per task."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class Gradient(_Analysis):
     task: str = "quad_trap"
     """Name or .yaml file of the task."""
     value: Path | None = None
-    """File of V_oc; by default the network in the package."""
+    """File of V_oc; by default the shipped network."""
     samples: Positive | None = None
     """Number of samples of the true gradient; by default the thesis's 102400."""
 

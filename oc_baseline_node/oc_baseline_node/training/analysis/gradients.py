@@ -1,9 +1,9 @@
 """Accuracy of policy gradients estimated from few samples, with different baselines (thesis Table 3.7).
 
-The policy is an early one, which reaches the goal about every second time. The thesis takes one that meets goal and
-trap equally often; the trap of `quad_trap` is hardly ever met (its minimum thrust, 14 N, is more than the weight), so
-crashes take its part. The "true" gradient is Eq. 3.14 over very many samples without any b; estimates come from other
-samples, fewer, and are compared by cosine similarity.
+The policy is an early one that reaches the goal in about half of the episodes. The thesis uses one that reaches goal
+and trap equally often; the trap of `quad_trap` is hardly ever reached (its minimum thrust, 14 N, exceeds the weight),
+so crashes take its place. The "true" gradient is Eq. 3.14 over very many samples without b; estimates use fewer,
+separate samples and are compared by cosine similarity.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from oc_baseline_node.training.baselines.control_variates import make_critic
 from oc_baseline_node.training.experiments.runs import OcRun
 
 _LIMIT = 150
-"""Maximum number of roll-outs of the search."""
+"""Maximum number of roll-outs in the search."""
 _SHARE = (1.0 / 3.0, 2.0 / 3.0)
 """Minimum and maximum fraction of the episodes that end in the goal."""
 
@@ -33,17 +33,17 @@ _SHARE = (1.0 / 3.0, 2.0 / 3.0)
 def find_early_policy(
     run: OcRun, progress: Callable[[], object] = lambda: None
 ) -> tuple[BaseAlgorithm, dict[str, int]]:
-    """Learn until a roll-out meets the goal about every second time.
+    """Train until about half of a roll-out's episodes reach the goal.
 
     Args:
-        run: Run that is trained.
-        progress: Function called after each roll-out.
+        run: Run to train.
+        progress: Called after each roll-out.
 
     Returns:
-        The algorithm, as it then is, and how the last roll-out's episodes ended.
+        The algorithm in that state, and the outcomes of the last roll-out's episodes.
 
     Raises:
-        OcError: It never does.
+        OcError: That never happens.
     """
     model: Any = run.model(ROLL_OUT * _LIMIT)
     model.set_random_seed(run.seed)
@@ -64,7 +64,7 @@ SIZES = (2**7, 2**9, 2**11, 2**13, 2**15)
 TRUTH = 102_400
 """Number of samples of the true gradient."""
 POOL = 4 * max(SIZES)
-"""Number of samples to draw estimates from, enough that the largest estimates differ too."""
+"""Number of samples from which estimates are drawn, enough for the largest estimates to differ."""
 _EPOCHS = 20
 _BATCH = 256
 
@@ -75,7 +75,7 @@ class Samples(NamedTuple):
     Attributes:
         observations: Observations of the policy (N, d).
         actions: Actions of the policy (N, m).
-        returns: Discounted return from each sample to the end of its episode (N,): G at lambda = 1.
+        returns: Discounted return from each sample to the end of its episode (N,): G for lambda = 1.
         outcomes: Outcome of each episode, by name.
     """
 
@@ -88,7 +88,7 @@ class Samples(NamedTuple):
 def collect_samples(
     policy: Any, environments: VecEnv, count: int, discount: float, progress: Callable[[int], object] = lambda _: None
 ) -> Samples:
-    """Return at least `count` samples of whole episodes; `progress` is told how many more there are, now and then."""
+    """Return at least `count` samples of whole episodes; `progress` is called with the numbers of new samples."""
     observations: Any = environments.reset()
     open_: list[list[tuple[Array, Array, float]]] = [[] for _ in range(environments.num_envs)]
     parts: list[tuple[Array, Array, Array]] = []
@@ -121,7 +121,7 @@ def _episode(steps: list[tuple[Array, Array, float]], discount: float) -> tuple[
 
 
 def policy_gradient(policy: Any, samples: Samples, baseline: Array | None, chosen: NDArray[np.int64]) -> Array:
-    """Return the estimate of Eq. 3.14 (parameters,) from the samples `chosen`, with b (N,) or none."""
+    """Return the estimate of Eq. 3.14 (parameters,) from the samples `chosen`, with b (N,) or without."""
     parameters = actor_parameters(policy)
     total = torch.zeros(sum(parameter.numel() for parameter in parameters))
     signal = samples.returns if baseline is None else samples.returns - baseline
@@ -140,7 +140,7 @@ def actor_parameters(policy: Any) -> list[nn.Parameter]:
 
 
 def fit_value(samples: Samples, seed: int) -> Callable[[Array], Array]:
-    """Return V of the samples' policy, fitted to their returns by a network of the policy's shape."""
+    """Return V of the samples' policy, fitted to the returns by a network of the policy's shape."""
     torch.manual_seed(seed)
     network = make_critic(samples.observations.shape[1])
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
@@ -166,9 +166,9 @@ def similarities(
     random: np.random.Generator,
     repeats: int = 20,
 ) -> dict[str, dict[int, list[float]]]:
-    """Return the cosine similarity of estimates to the true gradient, by baseline and sample size, `repeats` of each.
+    """Return cosine similarities of estimates to the true gradient, by baseline and sample size, `repeats` each.
 
-    All baselines see the same samples.
+    All baselines use the same samples.
     """
     out: dict[str, dict[int, list[float]]] = {name: {size: [] for size in SIZES} for name in baselines}
     for size in SIZES:

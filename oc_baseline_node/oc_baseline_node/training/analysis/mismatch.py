@@ -1,4 +1,4 @@
-"""Mismatch of model and simulator, and its effect on MPC (thesis Table 3.5, Fig. 3.17)."""
+"""Mismatch between model and simulator, and its effect on MPC (thesis Table 3.5, Fig. 3.17)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sim_bridge import NavigationEnv
 
 Array = NDArray[np.float64]
 STEPS = (1, 5, 10)
-"""Control steps after which Table 3.5 compares."""
+"""Numbers of control steps compared in Table 3.5."""
 
 
 def with_extra_mass(task: NavigationTask, per_cent: float) -> NavigationTask:
-    """Return the task of a quadrotor with more mass and inertia, e.g. a battery that its model lacks.
+    """Return a quadrotor task with additional mass and inertia, e.g. a battery missing from the model.
 
     Raises:
-        ValueError: The task's system has neither, or nothing would be left.
+        ValueError: The task's system has neither, or they would not be positive.
     """
     factor = 1.0 + per_cent / 100.0
     return task.model_copy(update={"system": task.system.scaled({"m": factor, "I_yy": factor})})
@@ -32,16 +32,16 @@ def with_extra_mass(task: NavigationTask, per_cent: float) -> NavigationTask:
 def transition_errors(
     task: NavigationTask, roll_outs: int = 10, seed: int = 0, plant: NavigationTask | None = None
 ) -> Array:
-    """Return the distance (roll_outs, len(STEPS)) [m] of the positions of model and simulator, see Table 3.5.
+    """Return the position errors (roll_outs, len(STEPS)) [m] between model and simulator, see Table 3.5.
 
-    Both begin in the same random start of the task and get the same random commands, a new one each control step; so
-    does every other plant. NaN where the episode has ended before.
+    Both start in the same random start of the task and receive the same random commands, a new one in each control
+    step; so does every other plant. NaN if the episode has ended before.
 
     Args:
-        task: Task with the model that predicts.
+        task: Task with the predicting model.
         roll_outs: Number of roll-outs.
         seed: Seed of the starts and commands.
-        plant: Task as it is simulated; the same one unless given.
+        plant: Simulated task; the same one by default.
     """
     problem = formulate(task)
     environment = NavigationEnv(plant or task)
@@ -66,26 +66,26 @@ def transition_errors(
 
 
 def predict(system: System, x: Array, u: Array, duration: float, parts: int = 10) -> Array:
-    """Return the model's state (n,) after `duration` [s] of a constant control (m,)."""
+    """Return the model's state (n,) after `duration` [s] under a constant control (m,)."""
     for _ in range(parts):
         x = system.step(x, u, dt=duration / parts)
     return x
 
 
 def command(task: NavigationTask, action: Sequence[float] | NDArray[np.float32]) -> Array:
-    """Return the command (m,) of an action in [-1, 1] (m,)."""
+    """Convert an action in [-1, 1] (m,) to a command (m,)."""
     low, high = np.array(list(task.robot.commands.values())).T
     return low + 0.5 * (np.asarray(action, dtype=float) + 1.0) * (high - low)
 
 
 def action_of(task: NavigationTask, control: Array) -> NDArray[np.float32]:
-    """Return the action in [-1, 1] (m,) that comes nearest to a control (m,)."""
+    """Return the action in [-1, 1] (m,) nearest to a control (m,)."""
     low, high = np.array(list(task.robot.commands.values())).T
     return np.clip(2.0 * (control - low) / (high - low) - 1.0, -1.0, 1.0).astype(np.float32)
 
 
 def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
-    """Return the task with other, equally long episodes: MPC acts at the time step it plans with."""
+    """Return the task with MPC's time step and episodes of equal duration."""
     episode = task.episode
     steps = round(episode.steps * episode.time_step / time_step)
     changed = episode.model_copy(update={"time_step": time_step, "steps": steps})
@@ -95,13 +95,13 @@ def _with_time_step(task: NavigationTask, time_step: float) -> NavigationTask:
 def run_mpc_episodes(
     task: NavigationTask, episodes: int = 10, seed: int = 0, progress: Callable[[], object] = lambda: None
 ) -> list[tuple[Episode[Any], float]]:
-    """Run MPC with a receding horizon in the simulator, as Fig. 3.17 does: it plans with the model alone.
+    """Run receding-horizon MPC in the simulator as in Fig. 3.17; it plans with the model only.
 
     Args:
         task: Task with the arena, the rewards and the problem.
-        episodes: Number of episodes, from the seeds `seed`, `seed` + 1 and so on.
+        episodes: Number of episodes, with the seeds `seed`, `seed` + 1, etc.
         seed: Seed of the first episode.
-        progress: Function called after each step.
+        progress: Called after each step.
 
     Returns:
         Each episode, and the fraction of its steps in which the solver found a trajectory.
@@ -124,7 +124,7 @@ class _MpcDriver:
         self.solved: list[bool] = []
 
     def look(self, step: Step[Any]) -> None:
-        """Take the true state."""
+        """Store the true state."""
         self.state = step.info["state"]
 
     def command(self, _: object) -> Any:

@@ -1,4 +1,4 @@
-"""CPU time of warm-started MPC, a few quadratic programs, beside the interior point's."""
+"""CPU time of warm-started MPC (a few quadratic programs), compared with the interior point."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from oc_baseline_node.problems.start_states import draw_start
 
 _DRIVES, _STEPS = 5, 40
 _NOISE = 0.003
-"""Standard deviation of what disturbs each state in a step of a drive [m, rad, m/s, ...]."""
+"""Standard deviation of the disturbance of each state in a step of a drive [m, rad, m/s, ...]."""
 
 
 def warm_rows(
     task: NavigationTask, starts: int, seed: int = 0, progress: Callable[[], object] = lambda: None
 ) -> list[Result]:
-    """Return rows of the time of a warm solution, and of its cost beside the interior point's.
+    """Return result rows with the time of a warm start, and its cost relative to the interior point's.
 
-    Each plan is solved from a random start; then its next state is, with the plan shifted by a step to begin with. So
-    the interior point gets the same state and the same plan. In drives each state is disturbed besides.
+    Each plan is solved from a random start; then the problem is solved again from the plan's next state, starting from
+    the plan shifted by one step. The interior point receives the same state and plan. In drives, each state is
+    additionally disturbed.
 
     Args:
         task: Task with an optimal control problem.
         starts: Number of plans.
         seed: Seed of the starts and of the disturbances.
-        progress: Function called after each plan.
+        progress: Called after each plan.
 
     Raises:
         OcError: No start has a trajectory.
@@ -66,7 +67,7 @@ def warm_rows(
 
 
 def _drives(mpc: Mpc, starts: list[np.ndarray], random: np.random.Generator) -> tuple[list[float], list[float]]:
-    """Return the time of each solution after the first of a drive [ms], and whether quadratic programs gave it."""
+    """Return the time of each solution after the first in a drive [ms], and whether it came from quadratic programs."""
     seconds, alone = [], []
     for state in starts:
         controller = RecedingHorizon(mpc)

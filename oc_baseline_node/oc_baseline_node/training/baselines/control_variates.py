@@ -1,6 +1,6 @@
-"""PPO with action-dependent baselines, with which the thesis compares (Fig. 3.13).
+"""PPO with action-dependent baselines, for comparison as in the thesis (Fig. 3.13).
 
-A baseline c(s, a) shifts the gradient's mean, so the difference is given back through the policy, with
+A baseline c(s, a) shifts the mean of the gradient, so the difference is added back through the policy, with
 a = f_theta(s, xi) = mu_theta(s) + sigma_theta xi (Stein's identity; in Q-Prop c is linear in a):
 
     grad J = E[ grad log pi(a|s) (A(s, a) - c(s, a)) + grad_a c(s, a) grad_theta f_theta(s, xi) ]
@@ -30,7 +30,7 @@ LEARNING_RATE = 1e-3
 
 
 class ControlVariatePpo(PPO):
-    """PPO with a baseline c(s, a); a subclass defines c and how it is learnt.
+    """PPO with a baseline c(s, a); subclasses define c and its training.
 
     Attributes:
         critic: Network of c.
@@ -52,16 +52,16 @@ class ControlVariatePpo(PPO):
     def variate(
         self, observations: torch.Tensor, actions: torch.Tensor, advantages: torch.Tensor, /
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return c (N,) and its slope grad_a c (N, m), without gradients."""
+        """Return c (N,) and its slope grad_a c (N, m), detached."""
 
     def fit_before(self) -> None:
-        """Learn c from the roll-out before the policy does."""
+        """Train c on the roll-out before the policy update."""
 
     def fit_after(self) -> None:
-        """Learn c from the roll-out after the policy has."""
+        """Train c on the roll-out after the policy update."""
 
     def train(self) -> None:
-        """Learn from the roll-out: PPO's clipped loss with A - c, plus the term that gives c back."""
+        """Train on the roll-out: PPO's clipped loss with A - c, plus the correction term for c."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         self.fit_before()
@@ -101,7 +101,7 @@ class ControlVariatePpo(PPO):
 
 
 def make_critic(inputs: int) -> nn.Sequential:
-    """Return a network of the policy's shape with one output."""
+    """Create a network of the policy's shape with one output."""
     sizes: Sequence[int] = (inputs, *HIDDEN)
     layers = [part for a, b in pairwise(sizes) for part in (nn.Linear(a, b), NormalizedTanh())]
     return nn.Sequential(*layers, nn.Linear(HIDDEN[-1], 1))
@@ -110,7 +110,7 @@ def make_critic(inputs: int) -> nn.Sequential:
 def value_and_slope(
     critic: nn.Module, observations: torch.Tensor, actions: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a critic's detached values (N,) and their gradients by the actions (N, m)."""
+    """Return a critic's detached values (N,) and their gradients with respect to the actions (N, m)."""
     actions = actions.detach().clone().requires_grad_()
     values = critic(torch.cat((observations, actions), dim=1)).flatten()
     (slope,) = torch.autograd.grad(values.sum(), actions)
@@ -118,13 +118,13 @@ def value_and_slope(
 
 
 def standardised(signal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Standardise a signal (N,) to mean 0 and standard deviation 1; return it and its scale."""
+    """Standardise a signal (N,) to mean 0 and standard deviation 1; return it with its scale."""
     scale = signal.std() + 1e-8
     return (signal - signal.mean()) / scale, scale
 
 
 _UPDATES = 512
-"""Number of the critic's updates for each roll-out."""
+"""Number of critic updates per roll-out."""
 _BATCH = 128
 _TAU = 0.005
 
@@ -132,16 +132,16 @@ _TAU = 0.005
 class QPropPpo(ControlVariatePpo):
     """PPO with the control variate of Q-Prop.
 
-    The conservative one of Gu et al., "Q-Prop: Sample-Efficient Policy Gradient with An Off-Policy Critic", ICLR 2017:
-    a Taylor expansion around mu(s) of an off-policy critic Q_w, which learns from a replay of all samples so far: c(s,
-    a) = eta(s) grad_a Q_w(s, mu) (a - mu), where eta = 1 where A and grad_a Q_w (a - mu) agree in sign, else 0.
+    The conservative variant of Gu et al., "Q-Prop: Sample-Efficient Policy Gradient with An Off-Policy Critic", ICLR
+    2017: a Taylor expansion around mu(s) of an off-policy critic Q_w, which learns from a replay of all samples so far:
+    c(s, a) = eta(s) grad_a Q_w(s, mu) (a - mu), where eta = 1 if A and grad_a Q_w (a - mu) agree in sign, else 0.
 
     Args:
-        replay_size: samples it keeps; give as many as there will be.
+        replay_size: Capacity in samples; should hold all samples of the run.
 
     Attributes:
-        replay_buffer: all samples so far.
-        target: the critic that targets are made with; it follows `critic`.
+        replay_buffer: All samples so far.
+        target: Target critic, which tracks `critic`.
     """
 
     through_noise = False
@@ -168,7 +168,7 @@ class QPropPpo(ControlVariatePpo):
         return eta * expansion, eta[:, None] * slope
 
     def fit_before(self) -> None:
-        """Add the roll-out to the replay and learn Q_w from it, as DDPG does."""
+        """Add the roll-out to the replay and train Q_w on it, as in DDPG."""
         self._remember()
         for _ in range(_UPDATES):
             data = self.replay_buffer.sample(_BATCH)
@@ -181,7 +181,7 @@ class QPropPpo(ControlVariatePpo):
             polyak_update(self.critic.parameters(), self.target.parameters(), _TAU)
 
     def _remember(self) -> None:
-        """Put the roll-out into the replay; a time-out's bootstrap is part of its reward already."""
+        """Add the roll-out to the replay; rewards already include the bootstrap at a time-out."""
         buffer = self.rollout_buffer
         assert isinstance(self._last_obs, np.ndarray)
         assert self._last_episode_starts is not None
@@ -211,10 +211,10 @@ class QPropPpo(ControlVariatePpo):
 class SteinPpo(ControlVariatePpo):
     """PPO with the Stein control variate.
 
-    c(s, a) = psi_w(s, a) beside the learnt V(s), fitted to the advantages ("FitQ"): Liu et al., "Action-dependent
-    Control Variates for Policy Optimization via Stein's Identity", ICLR 2018. psi is fitted after the policy has learnt
-    from a roll-out, for use on the next: fitted before, it would know the very actions that it is subtracted for, and
-    Stein's identity would not hold.
+    c(s, a) = psi_w(s, a) in addition to the learnt V(s), fitted to the advantages ("FitQ"): Liu et al.,
+    "Action-dependent Control Variates for Policy Optimization via Stein's Identity", ICLR 2018. psi is fitted after the
+    policy update, for use on the next roll-out: if fitted before, it would depend on the actions from which it is
+    subtracted, and Stein's identity would not hold.
     """
 
     def variate(

@@ -1,15 +1,15 @@
-"""Policy gradients of Stable-Baselines3 with any baseline (thesis Eq. 3.14): where A = G^lambda - b(s) is made.
+"""Policy gradients of Stable-Baselines3 with any baseline (thesis Eq. 3.14): computes A = G^lambda - b(s).
 
-    PPO(BaselinePolicy, env, policy_kwargs={"baseline": b}, vf_coef=0.0)            b is also what G^lambda ends on
+    PPO(BaselinePolicy, env, policy_kwargs={"baseline": b}, vf_coef=0.0)            b also bootstraps G^lambda
     PPO("MlpPolicy", env, rollout_buffer_class=BaselineBuffer,
-        rollout_buffer_kwargs={"baseline": b})                                      G^lambda ends on the learnt V
-    PPO(CorrectedPolicy, env, policy_kwargs={"baseline": b})                        the learnt V begins as b
+        rollout_buffer_kwargs={"baseline": b})                                      the learnt V bootstraps G^lambda
+    PPO(CorrectedPolicy, env, policy_kwargs={"baseline": b})                        the learnt V starts as b
 
-The n-step returns in G^lambda need a value where they are cut, after n steps, at the end of a roll-out, at a time-out
-that pays nothing. The first form takes b for it, as the published code does: at lambda < 1 advantages then are sums of
-r + gamma b(s') - b(s), so that b guides. The second takes the on-policy value: b then moves advantages of whole states
-only, which leaves the gradient's mean as it was. The third is led by b at first and by what was learnt in the end.
-Both algorithms standardise advantages.
+The n-step returns in G^lambda need a bootstrap value after n steps, at the end of a roll-out, and at a time-out without
+reward. The first form uses b, as the published code does: for lambda < 1, advantages are then sums of r + gamma b(s') -
+b(s), so b guides the policy. The second uses the on-policy value: b then shifts advantages by a function of the state
+only, which leaves the mean of the gradient unchanged. The third is guided by b at first and by the learnt value in the
+end. Both algorithms standardise advantages.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ Values = NDArray[np.float32]
 
 
 class Baseline(Protocol):
-    """Any function of the observation alone: it does not bias the gradient of Eq. 3.14."""
+    """Any function of the observation alone, which leaves the gradient of Eq. 3.14 unbiased."""
 
     def __call__(self, observations: Observations) -> Values:
         """Return b (N,), in units of the learner's reward, for observations (N, d)."""
 
 
 class OcBaseline:
-    """V_oc of the state that is part of an observation (x_k of s_k), in units of the learner's reward.
+    """V_oc of the state contained in an observation (x_k of s_k), in units of the learner's reward.
 
     Args:
         value: Optimal control value V_oc of the task, over the task's states.
-        task: Task of the observations, scaled as in `ctrl_rl_learning.sb3.environment` scales them.
+        task: Task of the observations, scaled as in `ctrl_rl_learning.sb3.environment`.
         noise: Standard deviation of noise on each component of x_k before V_oc is evaluated, in SI units
             (thesis Fig. 3.16); drawn from torch's generator, which a run seeds.
 
@@ -64,7 +64,7 @@ class OcBaseline:
         self._offset, self._scale = offset[: self._count], scale[: self._count]
 
     def states(self, observations: Observations) -> NDArray[np.float64]:
-        """Return the states (N, n) [SI units] that are part of observations (N, d)."""
+        """Return the states (N, n) [SI units] contained in observations (N, d)."""
         return observations[:, : self._count].astype(np.float64) * self._scale + self._offset
 
     def __call__(self, observations: Observations) -> Values:
@@ -76,17 +76,17 @@ class OcBaseline:
 
 
 PERCENTILES = (5, 50, 95)
-"""Percentiles of the advantages of a roll-out, recorded for thesis Fig. 3.12."""
+"""Percentiles of a roll-out's advantages, recorded for thesis Fig. 3.12."""
 
 
 class BaselineBuffer(RolloutBuffer):
-    """Roll-outs whose advantages are G^lambda - b(s) (Eq. 3.14).
+    """Roll-out buffer with the advantages G^lambda - b(s) (Eq. 3.14).
 
     Args:
-        baseline: b; None leaves what the policy says, the learnt V or a `BaselinePolicy`'s own.
+        baseline: Baseline b; None to use the policy's value, the learnt V or a `BaselinePolicy`'s own.
 
     Attributes:
-        ranges: `PERCENTILES` of the advantages of each roll-out since they were last taken, before standardising.
+        ranges: `PERCENTILES` of the advantages of each roll-out since the last `take_ranges`, before standardisation.
     """
 
     def __init__(self, *arguments: Any, baseline: Baseline | None = None, **others: Any) -> None:
@@ -103,13 +103,13 @@ class BaselineBuffer(RolloutBuffer):
         self.ranges.append([float(x) for x in np.percentile(self.advantages, PERCENTILES)])
 
     def take_ranges(self) -> list[list[float]]:
-        """Return `ranges` and begin anew."""
+        """Return `ranges` and clear them."""
         ranges, self.ranges = self.ranges, []
         return ranges
 
 
 class BaselinePolicy(ActorCriticPolicy):
-    """A policy whose value is a given function, never learnt: both baseline and end of G^lambda.
+    """A policy whose value is a fixed function, used as baseline and to bootstrap G^lambda.
 
     Args:
         baseline: Baseline function b of the observations.
@@ -131,15 +131,15 @@ class BaselinePolicy(ActorCriticPolicy):
         return self._value(obs, super().predict_values(obs))
 
     def _value(self, observations: Any, learnt: torch.Tensor) -> torch.Tensor:  # noqa: ARG002 - for those who correct
-        """Return the value (N, 1) where the network says `learnt` (N, 1)."""
+        """Return the value (N, 1), given the network's output `learnt` (N, 1)."""
         return torch.from_numpy(self.baseline(observations.numpy()))[:, None]
 
 
 class CorrectedPolicy(BaselinePolicy):
-    """A policy whose value is a given function and a learnt correction, 0 at first: V(s) = b(s) + V_theta(s).
+    """A policy whose value is a given function plus a learnt correction, initially 0: V(s) = b(s) + V_theta(s).
 
-    So b leads the early policy, as the reward r + gamma b(s') - b(s) would (potential-based shaping: Ng, Harada and
-    Russell 1999; a value that begins as b does the same: Wiewiora 2003), and V becomes the value of the policy.
+    Initially b guides the policy, like the reward r + gamma b(s') - b(s) (potential-based shaping: Ng, Harada and
+    Russell 1999; equivalent to an initial value b: Wiewiora 2003); V then converges to the value of the policy.
 
     Args:
         baseline: Baseline function b of the observations.
@@ -162,10 +162,10 @@ class CorrectedPolicy(BaselinePolicy):
 
 
 class FrozenValueTrpo(TRPO):
-    """TRPO that learns no value: for a `BaselinePolicy`, with `n_critic_updates=0`."""
+    """TRPO without value learning, for a `BaselinePolicy` with `n_critic_updates=0`."""
 
     def train(self) -> None:
-        """Learn from the roll-out, without the library's warning that there is no mean loss of the value to log."""
+        """Train on the roll-out, without the library's warning about a missing value loss."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
             super().train()

@@ -1,4 +1,4 @@
-"""The policy gradients that thesis 3.3.3 compares: they differ only in the baseline."""
+"""The policy gradients compared in thesis 3.3.3, which differ only in the baseline."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ NOISES = (0.05, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class Method:
-    """A policy gradient.
+    """A policy-gradient method.
 
     Attributes:
-        label: Name in tables and pictures.
+        label: Name in tables and figures.
         algorithm: "ppo" or "trpo".
-        baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V that is V_oc and a
-            learnt correction; with a part that depends on the action, "stein" and "q_prop".
-        end: Value at the end of the n-step returns in G^lambda: V_oc ("oc") or the on-policy V ("value").
+        baseline: b of Eq. 3.14: "value", the on-policy V; "oc", V_oc; "corrected", an on-policy V given by V_oc plus a
+            learnt correction; "stein" and "q_prop" have an action-dependent part.
+        end: Bootstrap value of the n-step returns in G^lambda: V_oc ("oc") or the on-policy V ("value").
         gae_lambda: Coefficient lambda of G^lambda.
         entropy: Coefficient of the entropy bonus.
         noise: Standard deviation of noise on the state before V_oc is evaluated.
@@ -38,7 +38,7 @@ class Method:
 
     @property
     def needs_value(self) -> bool:
-        """Whether it needs V_oc."""
+        """Whether the method needs V_oc."""
         return self.baseline in ("oc", "corrected")
 
 
@@ -70,5 +70,5 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ends": ("oc_ppo", "oc_corrected", "oc_lambda_0.7", "lambda_0.7", "oc_lambda_1", "oc_own_end", "ppo"),
     }
 )
-"""Comparisons: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and the end of G^lambda. `oc_corrected` is
-not in the thesis."""
+"""Comparisons: Fig. 3.10, 3.12 and 3.14, Fig. 3.13, Fig. 3.16, Table 3.6, and the bootstrap of G^lambda. `oc_corrected`
+is not in the thesis."""

@@ -1,4 +1,4 @@
-"""The table of a task's runs, with the thesis's figures beside ours, and the data of the pictures.
+"""The results table of a task's runs beside the thesis's values, and the data of the figures.
 
 rows, figures = collect(oc_runs(load_navigation_task("car_navigation")), Path("runs/oc_training"))
 """
@@ -34,16 +34,16 @@ THESIS: dict[tuple[str, str, str], float] = {
     ("quad_trap", "entropy_0.05", "return"): 65.0,
     ("quad_trap", "entropy_0.1", "return"): 50.0,
 }
-"""Figures of 3.3.3: Tables 3.4 and 3.6, Fig. 3.14 and 3.16."""
+"""Values from thesis 3.3.3: Tables 3.4 and 3.6, Fig. 3.14 and 3.16."""
 
 
 def collect(todo: Sequence[OcRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the table and the figures' data of all runs that are finished.
+    """Return the table and the figure data of all finished runs.
 
     Returns:
-        For each method, one value a seed, of the last evaluation: success, trap rate (where there is a trap), mean
-        undiscounted return; and the samples to `GOOD` (seeds that never get there are left out and counted). And
-        `curves`, `advantages` (see `BaselineBuffer.ranges`) and `paths` by method.
+        Table rows: for each method, one value per seed from the last evaluation: success, trap rate (if there is a
+            trap), mean undiscounted return; and the samples to reach `GOOD` (seeds that never do are omitted and
+            counted). Figure data: `curves`, `advantages` (see `BaselineBuffer.ranges`) and `paths` by method.
     """
     task = todo[0].task
     found = finished_runs(todo, folder, lambda run: run.method_name)

@@ -1,4 +1,4 @@
-"""The runs of thesis 3.3.3: a task's sparse reward with one of several policy gradients, from several seeds."""
+"""The runs of thesis 3.3.3: learning a task's sparse reward with several policy gradients, from several seeds."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from sim_bridge import NavigationEnv
 
 
 class PaidTimeOut(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Where a task pays for a time-out it is an end like goal and collision, and the return ends with what is paid.
+    """Treats a time-out with a reward as a terminal state, like goal and collision.
 
-    Where it pays nothing, the limit only cuts the episode: the return goes on with the value of the last state.
+    A time-out without a reward only truncates the episode, and the return is bootstrapped from the last state.
     """
 
     def __init__(self, environment: Environment) -> None:
@@ -51,14 +51,14 @@ class PaidTimeOut(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
 
 @dataclass(frozen=True)
 class OcRun(SimulatedRun):
-    """A run with a policy gradient.
+    """A run of one policy-gradient method.
 
     Attributes:
         task: Task to learn.
         method_name: One of `METHODS`.
-        seed: Seed of everything random.
-        value: File of V_oc; the network that comes with the package unless given.
-        engine: "planar" to learn in a fleet if the task fits one, or "auto" for one robot at a time in PyBullet.
+        seed: Random seed.
+        value: File of V_oc; the shipped network by default.
+        engine: "planar" to train in a fleet if the task permits, or "auto" for one robot at a time in PyBullet.
     """
 
     task: NavigationTask
@@ -77,14 +77,14 @@ class OcRun(SimulatedRun):
         """The method.
 
         Raises:
-            OcError: There is no such method.
+            OcError: The method is unknown.
         """
         method: Method = find_method(METHODS, self.method_name, OcError)
         return method
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result."""
+        """Description of the run for its result."""
         value = self.network.digest if self.method.needs_value else None
         return {
             "task": self.task.name,
@@ -97,12 +97,12 @@ class OcRun(SimulatedRun):
 
     @property
     def in_fleet(self) -> bool:
-        """Whether it learns in a fleet."""
+        """Whether the run trains in a fleet."""
         return self.engine == "planar" and fits_fleet(self.task)
 
     @property
     def timeout_ends(self) -> bool:
-        """Whether the task pays for a time-out, see `PaidTimeOut`."""
+        """Whether the task has a reward for a time-out, see `PaidTimeOut`."""
         return self.task.rewards.timeout != 0.0
 
     @property
@@ -110,8 +110,8 @@ class OcRun(SimulatedRun):
         """V_oc of the task.
 
         Raises:
-            OcError: The file is missing, or V_oc is of another version of the task.
-            ValueFunctionError: V_oc is of another task or of other states.
+            OcError: The file is missing, or V_oc belongs to another version of the task.
+            ValueFunctionError: V_oc belongs to another task or has other states.
         """
         file = find_value(self.value or self.task.name)
         value = load_network(file)
@@ -121,10 +121,10 @@ class OcRun(SimulatedRun):
 
     @property
     def discount(self) -> float:
-        """Discount of a step: that of V_oc, for all compared methods; without V_oc the task's.
+        """Discount per step: that of V_oc, for all compared methods; without V_oc the task's.
 
         Raises:
-            OcError: see `network`; or a method without V_oc has none from the task either.
+            OcError: As for `network`, or neither V_oc nor the task provides a discount.
         """
         if self.method.needs_value or self.value is not None:
             return float(self.network.manifest["discount"])
@@ -133,15 +133,15 @@ class OcRun(SimulatedRun):
         return self.task.optimal_control.discount
 
     def baseline(self) -> OcBaseline:
-        """Return b(s) = V_oc(x). Errors as in `network`."""
+        """Return b(s) = V_oc(x). Errors as for `network`."""
         return OcBaseline(self.network, self.task, self.method.noise)
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the task's environment with the task's rewards."""
+        """Create the task's environment with the task's rewards."""
         return make_environment(self.task, rate, PaidTimeOut)
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its environments, for a number of samples. Errors as in `network`."""
+        """Create the untrained algorithm with its environments, for a number of samples. Errors as for `network`."""
         method = self.method
         changes: dict[str, Any] = {
             "gamma": self.discount,
@@ -179,6 +179,6 @@ def oc_runs(
     value: Path | None = None,
     engine: str = "planar",
 ) -> list[OcRun]:
-    """Return all runs of a task, the most important first."""
+    """Return all runs of a task, the most important ones first."""
     ordered = sorted(methods, key=list(METHODS).index)
     return [OcRun(task, method, seed, value, engine) for method in ordered for seed in range(seeds)]
