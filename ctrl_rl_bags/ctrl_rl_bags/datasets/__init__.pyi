@@ -28,3 +28,4 @@ from .options import print_note as print_note
 from .readings import no_goal as no_goal
 from .rebuilding import DriveWriter as DriveWriter
 from .rebuilding import MessageMaker as MessageMaker
+from .task_view import TaskView as TaskView

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ctrl_rl_bags.datasets.conversion import Converted, count_messages, export_bags, import_dataset
 from ctrl_rl_bags.datasets.options import DriveOptions, print_note
+from ctrl_rl_core import load_navigation_task
 
 
 def _period(text: str) -> float:
@@ -25,7 +26,7 @@ def _period(text: str) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Export(DriveOptions):
-    """Write the drives of bags as a dataset of LeRobot (version 3) or Minari."""
+    """Export the drives of bags as a dataset for LeRobot (version 3) or Minari."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Bags, or folders of runs with a bag in `bag`."""
@@ -34,16 +35,19 @@ class Export(DriveOptions):
     output: Annotated[FolderToWrite, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, which must not exist."""
     image: str = "camera/image_raw"
-    """Topic of the camera (sensor_msgs/Image); without it the dataset has no pictures."""
+    """Topic of the camera (sensor_msgs/Image); without it the dataset has no images."""
     task: str = ""
-    """Name of the task; by default what the bag's parameters say."""
+    """Task of the drives, one of the suite or a task file, for the environment of a Minari dataset.
+
+    By default from the bag's parameters. Any other name is stored as is.
+    """
     period: Annotated[float | None, checked(_period, "NUMBER")] = None
-    """Time between frames [s]; by default one frame per scan."""
+    """Time between frames [s]; by default one frame per scan, and for Minari the task's time step, if known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Import:
-    """Turn a dataset that `bag export` wrote back into bags, one per original bag."""
+    """Convert a dataset written by `bag export` back to bags, one per original bag."""
 
     dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     """Folder of the dataset."""
@@ -56,9 +60,13 @@ class Import:
 def run_export(options: Export) -> int:
     """Run `bag export` and return its exit code."""
     began = time.monotonic()
-    how = options.extraction(image=options.image, task=options.task, period=options.period)
+    file = Path(options.task)
+    named = load_navigation_task(file) if file.suffix in (".yaml", ".yml") else None
+    name = options.task if named is None else named.name
+    how = options.extraction(image=options.image, task=name, period=options.period)
+    environment = None if named is None else (named, str(file.resolve()))
     with tqdm(total=count_messages(options.runs), desc="export", unit="message", disable=None) as bar:
-        found = export_bags(options.runs, options.output, options.format, how, bar.update)
+        found = export_bags(options.runs, options.output, options.format, how, bar.update, environment)
     left_out = f"{found.left_out} scans are in no frame: no odometry or command with them"
     for line in (*found.missing, *([left_out] if found.left_out else [])):
         print_note("bag export", line)

@@ -1,6 +1,6 @@
 """LeRobot datasets, version 3: Parquet files of frames, and metadata in JSON and Parquet.
 
-Pictures are stored losslessly, as PNG files within the Parquet files. Layout and sources are in `meta/info.json` under
+Images are stored losslessly, as PNG files within the Parquet files. Layout and sources are in `meta/info.json` under
 `ctrl_rl`.
 """
 
@@ -33,29 +33,36 @@ from ctrl_rl_bags.datasets.frames import (
     own_info,
 )
 from ctrl_rl_bags.datasets.statistics import Statistics
-from ctrl_rl_core import atomic_write
+from ctrl_rl_core import NavigationTask, atomic_write
 
 INFO, TASKS, STATS = "meta/info.json", "meta/tasks.parquet", "meta/stats.json"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FILE_MB, _CHUNK = 100, 1000
 _ROWS = 1000
-"""Rows per write; pieces with pictures are smaller."""
+"""Rows per write; pieces with images are smaller."""
 CONTENT, FAULTS = "its Parquet files", (pa.ArrowException, MemoryError, KeyError, TypeError, ValueError)
-"""What is read, and errors that tell its damage."""
+"""Description of the content, and exceptions that indicate damage."""
 _COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 class Writer:
-    """Writes one dataset into a folder.
+    """Writes one dataset to a folder.
 
     Args:
-        folder: The dataset, which exists and is empty.
+        folder: Folder of the dataset, which exists and is empty.
         layout: Layout of the frames.
-        name: Name of the dataset, which this format does not keep.
+        name: Name of the dataset, not stored in this format.
+        environment: Task of the drives and its file, not stored in this format.
     """
 
-    def __init__(self, folder: Path, layout: Layout, name: str) -> None:  # noqa: ARG002 - as all writers
+    def __init__(
+        self,
+        folder: Path,
+        layout: Layout,
+        name: str,  # noqa: ARG002 - as all writers
+        environment: tuple[NavigationTask, str] | None = None,  # noqa: ARG002
+    ) -> None:
         self._folder, self._layout = folder, layout
         columns = layout.columns
         fields = [pa.field(name, _arrow_type(name, column)) for name, column in columns.items()]
@@ -170,7 +177,7 @@ class Writer:
 
 
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    """Yield the frames of a dataset, a piece of an episode at a time; raises DatasetError or one of `FAULTS`."""
+    """Yield a dataset's frames, a piece of an episode at a time; raise DatasetError or one of `FAULTS`."""
     with _opened(folder / _EPISODES) as file:
         episodes = file.read(columns=["episode_index", "source"]).to_pylist()
     sources = {int(row["episode_index"]): int(row["source"]) for row in episodes}
@@ -191,7 +198,7 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file under a memory limit: a short file can unfold to gigabytes."""
+    """Open a Parquet file under a memory limit, because a short file can unfold to gigabytes."""
     with open_file(path, math.inf) as (stream, size), limited_memory(MEMORY + 8 * size), pq.ParquetFile(stream) as file:
         yield file
 
@@ -203,7 +210,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def _tasks(task: str) -> pa.Table:
-    """Return the table of tasks, indexed by name the way pandas does."""
+    """Return the table of tasks, indexed by name as in pandas."""
     index, plain = "__index_level_0__", {"metadata": None}
     column = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64", **plain}
     name = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", **plain}

@@ -1,7 +1,8 @@
 """Minari datasets: one HDF5 file of episodes, and metadata in JSON.
 
-An episode has one more observation than actions and rewards; `infos` hold the times and outcomes of all observations.
-Layout and sources are in `metadata.json` under `ctrl_rl`.
+An episode has one more observation than actions and rewards; `infos` has the times and outcomes of all observations.
+Layout and sources are in `metadata.json` under `ctrl_rl`. If the task is known, `env_spec` names its environment,
+observations, actions and rewards are those of the environment, and `infos` has the frames as recorded.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +28,7 @@ from ctrl_rl_bags.datasets.frames import (
     IS_LAST,
     LOG_TIME,
     MEMORY,
+    ODOMETRY,
     OUTCOME,
     REWARD,
     STAMP,
@@ -35,30 +38,36 @@ from ctrl_rl_bags.datasets.frames import (
     Layout,
     own_info,
 )
-from ctrl_rl_core import atomic_write
+from ctrl_rl_bags.datasets.task_view import TaskView, environment_spec
+from ctrl_rl_core import NavigationTask, atomic_write
 
 INFO, DATA = "data/metadata.json", "data/main_data.hdf5"
 VERSION = "0.5.4"
 """Version of Minari that defines this format."""
 CONTENT, FAULTS = DATA, (MemoryError, OSError, RuntimeError, KeyError, TypeError, ValueError)
-"""What is read, and errors that tell its damage."""
+"""Description of the content, and exceptions that indicate damage."""
 _OBSERVATION = "observation."
 _INFOS = (STAMP, LOG_TIME, OUTCOME)
+_OF_STEPS = ("actions", "rewards")
+_VERSION = re.compile(r"-v\d+$")
+_Columns = Mapping[str, NDArray[Any]]
+Array = NDArray[np.float64]
+_ONES = np.ones(2, np.float32)
 _PIECE = 1000
 _MOST_EPISODES = 10_000_000
 
 
 class _Disk(io.FileIO):
-    """A file that takes every write: one that fails makes HDF5 end the process when it closes the file.
+    """A file that accepts every write, because HDF5 ends the process when it closes a file after a failed write.
 
     Attributes:
-        failure: The first write that failed; `raise_failure` says so.
+        failure: First failed write, raised by `raise_failure`.
     """
 
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write, or note that it cannot be done."""
+        """Write, or record the failure."""
         view = memoryview(data).cast("B")
         try:
             done = 0
@@ -69,7 +78,7 @@ class _Disk(io.FileIO):
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
-        """Set the size, or note that it cannot be done."""
+        """Set the size, or record the failure."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -87,16 +96,26 @@ class _Disk(io.FileIO):
 
 
 class Writer:
-    """Writes one dataset into a folder.
+    """Writes one dataset to a folder.
 
     Args:
-        folder: The dataset, which exists and is empty.
+        folder: Folder of the dataset, which exists and is empty.
         layout: Layout of the frames.
-        name: Name of the dataset, as in `mine-v0`.
+        name: Name of the dataset, as in `mine` or `mine-v0`.
+        environment: Task of the drives and its file; None if unknown.
+
+    Raises:
+        PolicyError: The task's commands cannot be sent by a node.
     """
 
-    def __init__(self, folder: Path, layout: Layout, name: str) -> None:
-        self._folder, self._layout, self._name = folder, layout, name
+    def __init__(
+        self, folder: Path, layout: Layout, name: str, environment: tuple[NavigationTask, str] | None = None
+    ) -> None:
+        self._folder, self._layout = folder, layout
+        self._name = name if _VERSION.search(name) else f"{name}-v0"
+        self._environment = environment
+        self._view = None if environment is None else TaskView(environment[0], layout)
+        self._before: Array | None = None
         (folder / DATA).parent.mkdir(parents=True)
         self._disk = _Disk(folder / DATA, "w+")
         self._file = h5py.File(self._disk, "w", track_order=True)
@@ -115,17 +134,14 @@ class Writer:
         ended = np.zeros(len(outcomes), dtype=np.bool_)
         if frames.last:
             ended[-1:] = True
-        for name in columns:
-            if name.startswith(_OBSERVATION):
-                _append(group, f"observations/{name.removeprefix(_OBSERVATION)}", columns[name], whole)
         for name, values in (
-            ("actions", columns[ACTION][done]),
-            ("rewards", columns[REWARD][done]),
+            *(self._recorded(columns, done) if self._view is None else self._seen(self._view, columns, done)).items(),
             ("terminations", terminated),
             ("truncations", ended & ~np.asarray(terminated, dtype=np.bool_)),
             *((f"infos/{name}", columns[name]) for name in _INFOS),
         ):
             _append(group, name, values, whole)
+        self._before = None if frames.last else np.asarray(columns[ACTION], np.float64)[-1]
         self._steps += len(outcomes)
         if frames.last:
             group.attrs["total_steps"] = len(group["rewards"])
@@ -133,31 +149,60 @@ class Writer:
             self._group = None
         self._disk.raise_failure()
 
+    def _recorded(self, columns: _Columns, done: NDArray[np.bool_]) -> _Columns:
+        """Return the arrays of frames of an unknown task, as recorded."""
+        out = {_place(name): values for name, values in columns.items() if name.startswith(_OBSERVATION)}
+        return out | {"actions": columns[ACTION][done], "rewards": columns[REWARD][done]}
+
+    def _seen(self, view: TaskView, columns: _Columns, done: NDArray[np.bool_]) -> _Columns:
+        """Return the arrays of frames in the form of the task's environment, and as recorded."""
+        outcomes = np.asarray(columns[OUTCOME][done], np.int64)
+        running = np.asarray(columns[REWARD][done], np.float64) if self._layout.reward else 0.0
+        seen, _ = view.observe(columns, self._before)
+        recorded = {f"infos/{name}": columns[name] for name in columns if name not in (*_INFOS, DONE, IS_LAST)}
+        return {
+            "observations": seen,
+            "actions": view.actions(np.asarray(columns[ACTION][done], np.float64)),
+            "rewards": np.where(outcomes == 0, running, view.paid(outcomes)),
+            **recorded,
+        }
+
     def close(self, sources: list[str]) -> None:
         """Finish the dataset; `sources` names the bags."""
         self._file.close()
         self._disk.close()
         self._disk.raise_failure()
-        columns = self._layout.columns
-        spaces = {
-            name.removeprefix(_OBSERVATION): _space(column)
-            for name, column in columns.items()
-            if name.startswith(_OBSERVATION)
-        }
+        observations, actions = self._spaces()
+        specified = {} if self._environment is None else {"env_spec": environment_spec(*self._environment)}
         metadata = {
             "total_episodes": self._episodes,
             "total_steps": self._steps,
             "data_format": "hdf5",
             "jpeg_encoding": False,
-            "observation_space": json.dumps({"type": "Dict", "subspaces": spaces}),
-            "action_space": json.dumps(_space(columns[ACTION])),
-            "dataset_id": f"{self._name}-v0",
+            "observation_space": json.dumps(observations),
+            "action_space": json.dumps(actions),
+            **specified,
+            "dataset_id": self._name,
             "minari_version": VERSION,
             "description": f"Drives of task {self._layout.task}, from bags.",
             "dataset_size": round((self._folder / DATA).stat().st_size / 1e6, 1),
             **own_info(self._layout, sources),
         }
         atomic_write(self._folder / INFO, json.dumps(metadata, indent=1))
+
+    def _spaces(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the spaces of observations and actions."""
+        if self._view is not None:
+            parts = self._view.interface.observation
+            low, high = (np.concatenate([part.spread(name) for part in parts]) for name in ("low", "high"))
+            return _box("float32", low.astype(np.float32), high.astype(np.float32)), _box("float32", -_ONES, _ONES)
+        columns = self._layout.columns
+        spaces = {
+            name.removeprefix(_OBSERVATION): _space(column)
+            for name, column in columns.items()
+            if name.startswith(_OBSERVATION)
+        }
+        return {"type": "Dict", "subspaces": spaces}, _space(columns[ACTION])
 
     def abort(self) -> None:
         """Close the open file."""
@@ -167,7 +212,7 @@ class Writer:
 
 
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
-    """Yield the frames of a dataset, a piece of an episode at a time; raises DatasetError or one of `FAULTS`."""
+    """Yield a dataset's frames, a piece of an episode at a time; raise DatasetError or one of `FAULTS`."""
     with open_file(folder / DATA, math.inf) as (_, size):  # it is no pipe, which would keep us waiting
         pass
     with limited_memory(MEMORY + 2 * size), h5py.File(folder / DATA, "r") as file:
@@ -175,10 +220,12 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
             group = _member(file, f"episode_{number}", h5py.Group)
             source = int(group.attrs.get("source", 0))
             stored = {name: column for name, column in layout.columns.items() if name not in (DONE, IS_LAST)}
-            arrays = {name: _array(group, name, column) for name, column in stored.items()}
+            seen = f"infos/{ODOMETRY}" in group  # observations are the environment's then
+            places = {name: f"infos/{name}" if seen else _place(name) for name in stored}
+            arrays = {name: _array(group, places[name], column) for name, column in stored.items()}
             length = len(arrays[STAMP])
             for name, array in arrays.items():
-                wanted = length - 1 if name in (ACTION, REWARD) else length
+                wanted = length - 1 if places[name] in _OF_STEPS else length
                 if len(array) != wanted or length < 2:
                     raise DatasetError(f"episode {number} has {len(array)} rows of {name} at {length} times")
             for first in range(0, length, _PIECE):
@@ -190,7 +237,7 @@ def _frames(
 ) -> Frames:
     last = end == length
     columns: dict[str, NDArray[np.generic]] = {name: array[first:end] for name, array in arrays.items()}
-    if last:  # the action of the last frame repeats the one before, its reward is unknown
+    if last and len(arrays[ACTION]) < length:  # the last action repeats the one before, its reward is unknown
         columns[ACTION] = np.concatenate((columns[ACTION], arrays[ACTION][length - 2 : length - 1]))
         columns[REWARD] = np.append(columns[REWARD], np.nan)
     outcomes = columns[OUTCOME]
@@ -199,10 +246,14 @@ def _frames(
     return Frames({name: columns[name] for name in layout.columns}, number, source, last)
 
 
-def _array(group: h5py.Group, name: str, column: Column) -> h5py.Dataset:
+def _place(name: str) -> str:
+    """Return the path of a frame's column in a dataset of an unknown task."""
     observed = name.startswith(_OBSERVATION)
     place = f"observations/{name.removeprefix(_OBSERVATION)}" if observed else f"infos/{name}"
-    place = {ACTION: "actions", REWARD: "rewards"}.get(name, place)
+    return {ACTION: "actions", REWARD: "rewards"}.get(name, place)
+
+
+def _array(group: h5py.Group, place: str, column: Column) -> h5py.Dataset:
     *path, leaf = place.split("/")
     for part in path:
         group = _member(group, part, h5py.Group)
@@ -215,14 +266,14 @@ def _array(group: h5py.Group, name: str, column: Column) -> h5py.Dataset:
 
 
 def _member(group: h5py.Group, name: str, kind: type) -> Any:
-    """Return a member of a group, which must be in the same file."""
+    """Return a member of a group, which must be stored in the same file."""
     if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], kind):
         raise DatasetError(f"has no {group.name.rstrip('/')}/{name}")
     return group[name]
 
 
 def _append(group: h5py.Group, name: str, values: NDArray[np.generic], whole: bool) -> None:
-    """Append rows to an array; `whole` tells that no more will follow."""
+    """Append rows to an array; `whole` marks the last ones."""
     if whole:
         group.create_dataset(name, data=values)
         return
@@ -239,5 +290,8 @@ def _append(group: h5py.Group, name: str, values: NDArray[np.generic], whole: bo
 def _space(column: Column) -> dict[str, Any]:
     shape = column.shape or (1,)
     low, high = (0, 255) if column.dtype == "uint8" else (-np.inf, np.inf)
-    filled = (np.full(shape, bound).tolist() for bound in (low, high))
-    return {"type": "Box", "dtype": column.dtype, "shape": list(shape), "low": next(filled), "high": next(filled)}
+    return _box(column.dtype, np.full(shape, low), np.full(shape, high))
+
+
+def _box(dtype: str, low: NDArray[Any], high: NDArray[Any]) -> dict[str, Any]:
+    return {"type": "Box", "dtype": dtype, "shape": list(low.shape), "low": low.tolist(), "high": high.tolist()}

@@ -8,44 +8,40 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ctrl_rl_bags.alignment import warn
 from ctrl_rl_bags.datasets import (
     ACTION,
     DONE,
-    GOAL,
     IS_LAST,
-    ODOMETRY,
     OUTCOME,
     REWARD,
-    SCAN,
     Found,
     Frames,
     Layout,
     TaskDriveOptions,
+    TaskView,
     check_task,
     extract,
     find_bag,
     find_layout,
     whole_episodes,
 )
-from ctrl_rl_core.policies import ObservationBuilder
-from ctrl_rl_core.sensing import planar
 from numpy.typing import NDArray
 
 from ctrl_rl_core import (
     NavigationTask,
-    OdometryReader,
     PolicyManifest,
-    Sensors,
     interface_of,
     load_navigation_task,
     task_digest,
-    terminal_reward,
 )
 from ctrl_rl_learning.errors import LearningError
+
+if TYPE_CHECKING:
+    from ctrl_rl_learning.offline.witness.record import Witness
 
 
 def sensed_interface(task: NavigationTask) -> PolicyManifest:
@@ -126,6 +122,8 @@ def load_transitions(
     options: TaskDriveOptions | None = None,
     interface: PolicyManifest | None = None,
     tell: Callable[[str], object] = warn,
+    found: Found | None = None,
+    witness: Witness | None = None,
 ) -> Transitions:
     """Return the transitions of bags, in steps of the task's length.
 
@@ -135,6 +133,8 @@ def load_transitions(
         options: Topics, beams and clock of the bags; the usual ones unless given.
         interface: Observation and commands of the policies; None for `sensed_interface`.
         tell: Takes a line about what was left out; warns unless given.
+        found: Receives delays, intervals and what was missing; a new one unless given.
+        witness: Receives scans and poses, for `ctrl_rl_learning.offline.witness.examine`.
 
     Raises:
         BagError: A bag cannot be read or lacks scans, odometry or commands; it is of another task, or its scans come
@@ -142,7 +142,7 @@ def load_transitions(
         LearningError: Nothing in it is a transition.
         PolicyError: The scans do not show what a policy observes.
     """
-    options, found = options or TaskDriveOptions(), Found()
+    options, found = options or TaskDriveOptions(), Found() if found is None else found
     how = options.extraction(period=task.episode.time_step)
     parts: list[Transitions] = []
     for run in runs:
@@ -150,7 +150,9 @@ def load_transitions(
         layout = find_layout(bag, how)
         check_task(bag, layout.digests, task.name, task_digest(task), allowed=options.other_task, tell=tell)
         before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
-        parts += to_transitions(extract([bag], layout, how, found), layout, task, before, interface)
+        frames = extract([bag], layout, how, found)
+        watched = frames if witness is None else witness.watch(frames, layout.scan)
+        parts += to_transitions(watched, layout, task, before, interface)
     if not parts:
         raise LearningError(f"{runs[0]}: {found.why_nothing}")
     for line in found.notes:
@@ -166,11 +168,8 @@ def to_transitions(
     interface: PolicyManifest | None = None,
 ) -> list[Transitions]:
     """Return the transitions of each episode of frames; their numbers count from `before`."""
-    manifest = interface or sensed_interface(task)
-    observer = _Observer(manifest, task, layout)
-    return [
-        _episode(columns, observer, manifest, task, before + piece.episode) for piece, columns in whole_episodes(frames)
-    ]
+    view = TaskView(task, layout, interface or sensed_interface(task))
+    return [_episode(columns, view, before + piece.episode) for piece, columns in whole_episodes(frames)]
 
 
 def concatenate(parts: Sequence[Transitions]) -> Transitions:
@@ -179,26 +178,18 @@ def concatenate(parts: Sequence[Transitions]) -> Transitions:
     return Transitions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _episode(
-    columns: Mapping[str, NDArray[Any]],
-    observer: _Observer,
-    manifest: PolicyManifest,
-    task: NavigationTask,
-    number: int,
-) -> Transitions:
-    seen, states = observer.observe(columns)
+def _episode(columns: Mapping[str, NDArray[Any]], view: TaskView, number: int) -> Transitions:
+    seen, states = view.observe(columns)
     kept = ~columns[IS_LAST].astype(np.bool_)
     outcomes = columns[OUTCOME][kept].astype(np.int64)
-    paid = terminal_reward(np.clip(outcomes, 0, 4), task.rewards)
-    low, high = np.array(manifest.action.low), np.array(manifest.action.high)
-    actions = np.clip(2.0 * (columns[ACTION][kept] - low) / (high - low) - 1.0, -1.0, 1.0)
+    paid = view.paid(outcomes)
     first = np.zeros(len(outcomes), dtype=np.bool_)
     first[0] = True
     return Transitions(
         observations=seen[:-1],
-        actions=actions.astype(np.float32),
+        actions=view.actions(columns[ACTION][kept]),
         rewards=np.where(outcomes == 0, columns[REWARD][kept], paid),
-        task_rewards=np.where(outcomes == 0, 0.0, paid),
+        task_rewards=paid,
         next_observations=seen[1:],
         done=columns[DONE][kept].astype(np.bool_),
         states=states[:-1],
@@ -207,27 +198,6 @@ def _episode(
         outcomes=outcomes,
         first=first,
     )
-
-
-class _Observer:
-    """Builds observations and states from the columns of frames, as a node builds them from messages."""
-
-    def __init__(self, manifest: PolicyManifest, task: NavigationTask, layout: Layout) -> None:
-        self._scan = layout.scan.geometry
-        self._build, self._state = ObservationBuilder(manifest), OdometryReader(task.system.build().state_names)
-        self._idle = np.array(manifest.rest)
-
-    def observe(self, columns: Mapping[str, NDArray[Any]]) -> tuple[Vectors, Array]:
-        """Return observations (n, size) and states (n, d)."""
-        seen, states, command = [], [], self._idle
-        goals = columns.get(GOAL)
-        for row, odometry in enumerate(columns[ODOMETRY]):
-            goal = None if goals is None else planar(goals[row].tolist())
-            sensors = Sensors(columns[SCAN][row], self._scan, odometry, planar(odometry[:7].tolist()), goal, command)
-            seen.append(self._build(sensors))
-            states.append(self._state(odometry))
-            command = columns[ACTION][row]
-        return np.array(seen, dtype=np.float32), np.array(states)
 
 
 @dataclass(frozen=True)
