@@ -83,14 +83,8 @@ class Account:
     @property
     def moved_walls(self) -> list[Place]:
         """Places at which walls differ too much to be believed."""
-        return [
-            place
-            for place in self.places
-            if place.kind != "mover"
-            and place.beams >= _REFUSED_BEAMS
-            and place.off >= _REFUSED_OFF
-            and not _is_corner(place)
-        ]
+        walls = [place for place in self.places if place.kind != "mover" and not _is_corner(place)]
+        return [place for place in walls if place.beams >= _REFUSED_BEAMS and place.off >= _REFUSED_OFF]
 
     @property
     def refusal(self) -> str:
