@@ -10,13 +10,12 @@ from typing import Annotated, Literal
 import tyro
 from ctrl_rl_core.command import at_least
 from ctrl_rl_core.io import with_digest
-from ctrl_rl_core.tasks import require
-from option_coordinator.teams import Work, is_team
+from option_coordinator.teams import Work
 
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.team.report import read_team
 from ctrl_rl_bringup.team.run import TeamConfig, follow_running_team, run_team
-from ctrl_rl_core import CommandError, atomic_write, load_navigation_task, load_task, parse_options, task_names
+from ctrl_rl_core import CommandError, atomic_write, load_navigation_task, parse_options
 from option_coordinator import load_team
 
 _FASTEST = 1000.0
@@ -102,8 +101,6 @@ def monitor() -> int:
 def _demo(config: TeamConfig) -> int:
     if not 0.0 < config.speed <= _FASTEST:
         raise CommandError(f"--speed {config.speed:g}: must be more than 0 and at most {_FASTEST:g}")
-    if config.team in task_names() and not is_team(config.team):
-        require("ctrl_rl_bringup options_demo", load_task(config.team))
     print(
         f"options_demo: {config.team}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}",
     )

@@ -1,4 +1,3 @@
 from .team_file import Work as Work
-from .team_file import is_team as is_team
 from .team_file import load_room as load_room
 from .team_file import room_file as room_file

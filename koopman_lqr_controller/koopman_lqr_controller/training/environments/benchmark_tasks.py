@@ -11,7 +11,7 @@ from typing import Any
 
 from ctrl_rl_core.tasks import require
 
-from ctrl_rl_core import load_navigation_task, task_digest
+from ctrl_rl_core import load_navigation_task, task_digest, task_names
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.settings import Settings
 
@@ -87,7 +87,7 @@ class BenchmarkTask:
 
 
 def find_task(name: str) -> BenchmarkTask:
-    """Return a problem by name, or that of driving through the corridor of a task's .yaml file.
+    """Return a problem by name, or that of driving through the corridor of a task or its .yaml file.
 
     Raises:
         KoopmanError: there is none of that name.
@@ -95,7 +95,7 @@ def find_task(name: str) -> BenchmarkTask:
     """
     if name in BENCHMARK_TASKS:
         return BENCHMARK_TASKS[name]
-    if not name.endswith(".yaml"):
+    if not name.endswith(".yaml") and name not in task_names():
         raise KoopmanError(f"no task '{name}': there are {', '.join(BENCHMARK_TASKS)}, or a .yaml file with a corridor")
     require("koopman_lqr_controller train", load_navigation_task(name))
     about = "the corridor of a task file"
