@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 from pages import ROOT
 
-sys.path.insert(0, str(ROOT / "scripts" / "reference"))
+sys.path.append(str(ROOT / "scripts" / "reference"))
 
 from workspace import PACKAGES, Executable, executables
 
 _RUN = re.compile(r"ros2 run (\w+) (\w+)([^`'\n]*)")
 _QUOTED = re.compile(r"`([a-z_]+(?: [^`]+)?)`|'(oc [a-z]+)'")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
-_ELSEWHERE = ("ray ", "ros2 bag ", "rosbags-convert ", "git ", "apt ", "pip ")
+_ELSEWHERE = ("make ", "ray ", "ros2 bag ", "rosbags-convert ", "git ", "apt ", "pip ")
 """Tools that are not this workspace's."""
 
 
@@ -69,30 +69,28 @@ def modules() -> dict[str, Path]:
 
 
 def advices() -> Iterator[Advice]:
-    """Yield each error message that names a command or an option: those that are raised, told or printed."""
+    """Yield each text of the code that names a command or an option, docstrings and single words apart."""
     for module, file in modules().items():
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-                yield from (Advice(module, node.lineno, _text(each)) for each in node.exc.args)
-            elif isinstance(node, ast.Return | ast.Assign) and node.value is not None:
-                yield from (Advice(module, node.lineno, text) for text in [_text(node.value)] if " " in text)
+        for line, text in _texts(tree):
+            advice = Advice(module, line, text)
+            if " " in text and (advice.options() or any(True for _ in advice.commands())):
+                yield advice
 
 
-def _text(node: ast.AST) -> str:
-    """Return the words of a string, with {} for what is filled in."""
-    parts = []
-    for each in ast.walk(node):
-        if isinstance(each, ast.Constant) and isinstance(each.value, str):
-            parts.append(each.value)
-        elif isinstance(each, ast.FormattedValue):
-            parts.append("{}")
-    return "".join(_in_order(node)) if isinstance(node, ast.JoinedStr) else " ".join(parts)
+def _texts(node: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and words of each string that is no docstring, with {} for what is filled in."""
+    if isinstance(node, ast.JoinedStr):
+        yield node.lineno, "".join(_part(each) for each in node.values)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.lineno, node.value
+    elif not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+        for child in ast.iter_child_nodes(node):
+            yield from _texts(child)
 
 
-def _in_order(node: ast.JoinedStr) -> Iterator[str]:
-    for part in node.values:
-        yield part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else "{}"
+def _part(node: ast.expr) -> str:
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else "{}"
 
 
 @cache

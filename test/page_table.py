@@ -32,8 +32,8 @@ PAGES = {
     "README.md": Page(60.0, skipped={"pip install": NETWORK, "make test ": ITSELF}),
     "docs/bags.md": Page(
         60.0,
-        before=_robot("curved_corridor")
-        + "ros2 run ctrl_rl_bringup record_drives --episodes 2 --speed 8 --output runs/corridor\n",
+        before="ros2 run ctrl_rl_bringup record_drives --episodes 2 --speed 8 --output runs/corridor\n"
+        + _robot("curved_corridor"),
         between={"ros2 run ctrl_rl_bags recorder": "sleep 5; stop 'ctrl_rl_bags recorder'"},
         skipped={"ros2 run option_coordinator train": HOURS},
     ),
@@ -54,6 +54,7 @@ PAGES = {
         before=_robot("car_ttr")
         + "mkdir -p runs/mine && cp $(python -c 'import ctrl_rl_core.policies as p; print(p.__path__[0])')"
         + "/pretrained/car_ttr.safetensors runs/mine/policy.safetensors\n",
+        between={"ros2 run ctrl_rl_core policy --ros-args -p policy:=runs/mine": "sleep 2; stop_all"},
         smaller={
             "ros2 run ctrl_rl_learning teach": "--seeds 1 --samples 4000",
             "ros2 run ctrl_rl_bringup transfer": "--seeds 1",
@@ -67,7 +68,7 @@ PAGES = {
     ),
     "docs/howto/barn.md": Page(0.0, skipped={"git clone": NETWORK, "ros2 run ctrl_rl_trials barn": NETWORK}),
     "docs/howto/datasets.md": Page(40.0, before=_DRIVES, skipped={"python -m pip": NETWORK}),
-    "docs/howto/installed_ros.md": Page(0.0, skipped={"source /opt/ros": ROS}),
+    "docs/howto/installed_ros.md": Page(0.0, skipped={"source /opt/ros/jazzy/setup.bash\npython3": ROS}),
     "docs/howto/learn_offline.md": Page(
         900.0,
         before=f"{_LOOP} --seeds 1 --rounds 1 --tests 1 --updates 1\n"
@@ -135,8 +136,10 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
     "docs/howto/safe_sets.md": Page(200.0),
     "docs/howto/safety_filter.md": Page(
         300.0,
-        before=_robot("curved_corridor"),
-        between={"ros2 run ctrl_rl_core watchdog": "stop_all\n" + _robot("quad_ttr")},
+        between={
+            'make demo ARGS="--filter --task quad_ttr': _robot("curved_corridor"),
+            "ros2 run ctrl_rl_core watchdog": "stop_all\n" + _robot("quad_ttr"),
+        },
         skipped={"ros2 launch": ROS},
     ),
     "docs/howto/safety_measure.md": Page(
@@ -151,7 +154,9 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
     "docs/howto/shell.md": Page(1.0),
     "docs/index.md": Page(60.0, skipped={"make test ": ITSELF}),
     "docs/installation.md": Page(0.0, skipped={"pip install": NETWORK, "sudo ": ROOT}),
-    "docs/security.md": Page(0.0, skipped={"export ROS_AUTOMATIC": MACHINES, "ros2 security create_keystore": ROS}),
+    "docs/security.md": Page(
+        0.0, skipped={"export ROS_AUTOMATIC": MACHINES, "ros2 security create_keystore keys\nros2 security": ROS}
+    ),
     "docs/tutorials/bag_to_policy.md": Page(120.0),
     "docs/tutorials/burger_guide.md": Page(
         240.0,
@@ -176,6 +181,7 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
         "sed 's/name: .*/name: mine/' "
         '"$(python -c \'from ctrl_rl_core import task_file; print(task_file("curved_corridor"))\')" > mine.yaml\n'
         + _robot("curved_corridor"),
+        between={"ros2 run koopman_lqr_controller controller": "sleep 2; stop_all"},
         smaller={
             "ros2 run koopman_lqr_controller train": _KOOPMAN,
             "ros2 run koopman_lqr_controller compare": _KOOPMAN,
@@ -191,7 +197,14 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
     ),
     "option_coordinator/README.md": Page(
         600.0,
-        before="",
+        before="""
+ros2 run option_coordinator loop --folder first --seeds 1 --rounds 1 --episodes 20 --tests 1
+mkdir -p runs/mine && cp -r first/tool_delivery-s0/round_0/bag runs/mine/bag
+cp first/tool_delivery-s0/round_1/learning/*/policy.safetensors policy.safetensors
+sed 's/^name: .*/name: my_team/' \
+  "$(python -c 'from option_coordinator import team_file; print(team_file("delivery_team"))')" > my_team.yaml
+""",
+        between={"ros2 run option_coordinator coordinator --ros-args -p team": "stop_all"},
         smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 50000 --evaluations 2"},
         skipped={"ros2 launch": ROS, "ros2 param ": ROS},
     ),

@@ -69,7 +69,7 @@ class Page(NamedTuple):
         smaller: Options that make a command quicker, by how the command begins: the budget (seeds, samples, episodes,
             goals) and nothing else, by options that `--help` of that command names. They replace the page's values.
         between: Shell lines of what the reader does by hand after a command, by how it begins.
-        skipped: Reason why a block, or a command, is not run, by how it begins.
+        skipped: Reason why a command is not run, by how it begins; or a whole block, by its first comment or two lines.
     """
 
     seconds: float
@@ -108,7 +108,8 @@ def begins(command: str, starts: Mapping[str, str]) -> str | None:
 
 def to_run(text: str, page: Page) -> list[str]:
     """Return the commands of a page that are run, as they stand there."""
-    kept = [block for block in blocks(text) if begins(block, page.skipped) is None]
+    whole = {start: reason for start, reason in page.skipped.items() if start.startswith("#") or "\n" in start}
+    kept = [block for block in blocks(text) if begins(block, whole) is None]
     return [command for block in kept for command in commands(block) if begins(command, page.skipped) is None]
 
 

@@ -6,9 +6,10 @@ from functools import cache
 import pytest
 from advice import Advice, advices, commands_that_reach, executables
 from commands import command
-from pages import ROOT
 
 _ALL = list(executables())
+_OLD_WORDS = {"koopman_lqr_controller.cli.train"}
+"""Modules that name what a command line once was."""
 _OF_ROS = {"--ros-args", "--params-file", "--show-args", "--src", "--dst"}
 
 
@@ -31,20 +32,15 @@ def options_of(package: str, executable: str) -> frozenset[str]:
     return frozenset(found)
 
 
-def given() -> list[Advice]:
-    return [each for each in advices() if each.options() or any(True for _ in each.commands())]
-
-
 def place(advice: Advice) -> str:
     return f"{advice.module}:{advice.line}"
 
 
 def test_there_is_advice() -> None:
-    assert len(given()) > 80
-    assert (ROOT / "scripts" / "reference" / "workspace.py").is_file()
+    assert len(list(advices())) > 80
 
 
-@pytest.mark.parametrize("advice", given(), ids=place)
+@pytest.mark.parametrize("advice", [each for each in advices() if each.module not in _OLD_WORDS], ids=place)
 def test_the_advice_of_an_error_can_be_followed(advice: Advice) -> None:
     for package, (name, *more), options in advice.commands():
         found = [each for each in _ALL if each.name == name and package in ("", each.package)]
