@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ctrl_rl_navigation.maps import load_map, map_names
-from ctrl_rl_navigation.maps.generated import MAPS, make_map
 from ctrl_rl_navigation.robot import limits_of
 from ctrl_rl_navigation.values.map_solver import CancelledError, MapSolver
 from ctrl_rl_navigation.values.map_value import path_length
+from generated_maps import MAPS, make_map
 
 from ctrl_rl_core import OccupancyMap, find_robot
 from ctrl_rl_navigation import NavigationError

@@ -16,10 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
-from ttr_reward_node.verification import SafetyCase, air3d, double_integrator, pursuit
 
 from ctrl_rl_core import Result, parse_options, write_results
 from ttr_reward_node import SafetySolver
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from safety_cases import SafetyCase, air3d, double_integrator, pursuit
 
 ACCURACIES = {"very_high": "hj_reachability WENO5", "low": "hj_reachability first order"}
 STEPS = {"double integrator": 0.06, "air3D": 0.128, "Dubins pursuit": 0.1}

@@ -8,7 +8,7 @@ turn are the second player's, so that the disturbance multiplies functions of th
 import numpy as np
 import pytest
 from matplotlib.path import Path
-from ttr_reward_node.verification.merz import RADIUS, SPEED, capture_outline
+from merz import RADIUS, SPEED, capture_outline
 
 from ctrl_rl_core import Axis, Disc, Quantity, Region, System
 from ttr_reward_node import TimeToReachProblem, solve

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from games import make
-from ttr_reward_node.verification.safety_cases import air3d, double_integrator, pursuit
+from safety_cases import air3d, double_integrator, pursuit
 
 from ctrl_rl_core import Axis, Quantity, System, make_system
 from ttr_reward_node import SafetyGame, SafetySolver, TimeToReachError

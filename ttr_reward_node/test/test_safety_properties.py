@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ttr_reward_node.verification.safety_cases import double_integrator
+from safety_cases import double_integrator
 
 from ctrl_rl_core import Axis, Quantity, System
 from ttr_reward_node import SafetyGame, SafetySolver

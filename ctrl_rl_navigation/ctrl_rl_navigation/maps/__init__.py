@@ -1,4 +1,4 @@
-"""Maps shipped with the package, and the functions that generated them."""
+"""Maps shipped with the package."""
 
 from pathlib import Path
 

@@ -4,7 +4,3 @@ from .cost import exponent as exponent
 from .cost import measure_cost as measure_cost
 from .exact_times import Reference as Reference
 from .exact_times import reference as reference
-from .safety_cases import SafetyCase as SafetyCase
-from .safety_cases import air3d as air3d
-from .safety_cases import double_integrator as double_integrator
-from .safety_cases import pursuit as pursuit

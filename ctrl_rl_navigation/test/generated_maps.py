@@ -1,4 +1,4 @@
-"""Generates the shipped maps: `python -m ctrl_rl_navigation.maps.generated FOLDER`."""
+"""Generates the shipped maps: `python ctrl_rl_navigation/test/generated_maps.py FOLDER`."""
 
 from __future__ import annotations
 

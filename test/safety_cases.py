@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from merz import RADIUS, SPEED, golden_points
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from ctrl_rl_core import Axis, Quantity, System
-from ttr_reward_node.problems.safety import SafetyGame
-from ttr_reward_node.verification.merz import RADIUS, SPEED, golden_points
+from ttr_reward_node import SafetyGame
 
 Array = NDArray[np.float64]
 PURSUER_SPEED = 0.4
