@@ -20,8 +20,9 @@ from ctrl_rl_core.command import (
     run_command,
 )
 from ctrl_rl_core.io import with_digest
+from ctrl_rl_core.tasks import require
 
-from ctrl_rl_core import NavigationTask, Outcome, atomic_write, load_navigation_task, task_digest
+from ctrl_rl_core import Outcome, atomic_write, load_navigation_task, task_digest
 from ctrl_rl_learning.errors import LearningError
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ class FineTune:
     """
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Policy to begin with: a name of those that come with the packages, or a file of `train`."""
+    """Policy to begin with: a name of those that come with the packages, or a file of any kind; what is no network of
+    `train` or `learn_offline`, such as a Koopman policy, is first cloned into one in the task's simulator."""
     task: str
     """Task name or .yaml file: goal, arena and length of an episode."""
     minutes: FiniteNumber = 30.0
@@ -88,13 +90,13 @@ def _work(options: FineTune, words: list[str]) -> int:
 
     from ctrl_rl_learning.cli.connection import Connection, connect
     from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner, TuneSettings
-    from ctrl_rl_learning.on_robot.learning.policy import read_policy
+    from ctrl_rl_learning.on_robot.learning.policy import read_or_clone
     from ctrl_rl_learning.on_robot.learning.session import Session
 
     torch.set_num_threads(options.threads)
     task = load_navigation_task(options.task)
-    _check_task(task)
-    actor, interface = read_policy(options.policy, options.motion)
+    require("ctrl_rl_learning fine_tune", task)
+    actor, interface = read_or_clone(options.policy, options.motion, task, options.seed, options.folder)
     total = 60.0 * options.minutes
     steps = round(total / (interface.period or task.episode.time_step)) + task.episode.steps
     tuner = FineTuner(actor, TuneSettings(updates=options.updates, noise=options.noise), steps, options.seed)
@@ -128,22 +130,6 @@ def _work(options: FineTune, words: list[str]) -> int:
         print(f"success    {success:.3f} of {len(tested)} episodes")
     print(f"policy     {options.folder / 'policy.safetensors'}")
     return 0
-
-
-def _check_task(task: NavigationTask) -> None:
-    """Check that a robot on the floor can tell by its pose when it has reached the goal of a task.
-
-    Raises:
-        LearningError: It cannot, or nothing on the floor drives by the task's commands.
-    """
-    if set(task.robot.commands) != {"v", "omega"}:
-        commands = " and ".join(task.robot.commands)
-        raise LearningError(f"task '{task.name}' is steered by {commands}: on a robot only v and omega are learnt")
-    if task.corridor is not None:
-        raise LearningError(
-            f"the goal of task '{task.name}' is a stretch of its corridor, which no pose tells: name a task with "
-            "a goal in x and y, such as car_ttr"
-        )
 
 
 def _line(log: EpisodeLog) -> str:

@@ -1,0 +1,160 @@
+"""The command `improve`: bags in; a policy, whether it is better than their driver, and what to record next out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from ctrl_rl_bags.datasets import find_bag, find_layout
+from ctrl_rl_core.command import FolderToWrite, Positive, checked, finite_number, make_command
+from ctrl_rl_core.io import raise_as, read_json, with_digest
+from ctrl_rl_core.tasks import require
+
+from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_navigation_task, task_digest, task_names
+from ctrl_rl_learning.cli.offline_steps import TeachOptions, judge, read_bags, teach
+from ctrl_rl_learning.cli.verdict_lines import estimate_lines, verdict_lines
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.learners.settings import METHODS
+
+if TYPE_CHECKING:
+    from ctrl_rl_learning.offline.data.transitions import Transitions
+
+POLICY, REPORT, PAGE = "policy.safetensors", "report.json", "report.txt"
+
+
+def _share(text: str) -> float:
+    value = finite_number(text)
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"'{text}' must be between 0 and 1")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImproveOptions(TeachOptions):
+    """Make a better policy from bags, and say whether it is: reads, checks, learns, judges, and says what to record.
+
+    Learns from a part of the episodes and judges by the others, which the policy has not seen. The output folder gets
+    policy.safetensors, for `ros2 run ctrl_rl_core policy`, and the report, as text and as JSON. A call that was cut
+    off goes on where it was. Exits with 1 where the policy is not shown to be better than the bags' driver.
+    """
+
+    task: str = ""
+    """Task of the bags: one of the suite, or a task file; by default the one that the bags name."""
+    output: FolderToWrite = Path("runs/improved")
+    """Folder of policy and report."""
+    held_out: Annotated[float, checked(_share, "NUMBER")] = 0.25
+    """Share of the episodes to judge by."""
+    fit_updates: Positive = 3000
+    """Number of updates of each fit that judges."""
+    fits: Positive = 3
+    """Number of fits, whose spread is part of the intervals."""
+    overwrite: bool = False
+    """Begin anew where the folder holds a policy of other bags or settings."""
+
+
+def _improve(options: ImproveOptions) -> int:
+    task = load_navigation_task(options.task or _named_task(options))
+    require("ctrl_rl_learning improve", task)
+    require(f"ctrl_rl_learning learn_offline --method {options.method}", task)
+    from ctrl_rl_learning.offline.data.held_out import hold_out
+
+    print(f"task       {task.name}: {task.about}")
+    transitions = read_bags("improve", task, options)
+    to_learn, to_judge = hold_out(transitions, options.held_out, options.seed)
+    print(f"parts      {to_learn.episode_count} episodes to learn from, {to_judge.episode_count} others to judge by")
+    terms = _terms(options, task, to_learn)
+    options.output.mkdir(parents=True, exist_ok=True)
+    actor = _kept_policy(options, terms)
+    if actor is None:
+        actor = teach(to_learn, task, options, {"improved": terms})
+        actor.save(options.output / POLICY)
+    print(f"policy     {options.output / POLICY}: {task.name}, {METHODS[options.method]}")
+    return _judged(options, task, actor, to_judge, {**terms, "fits": options.fits, "fit_updates": options.fit_updates})
+
+
+def _named_task(options: ImproveOptions) -> str:
+    """Return the task of the suite that the first bag names.
+
+    Raises:
+        LearningError: It names none.
+    """
+    bag = find_bag(options.runs[0])
+    name = find_layout(bag, options.extraction()).task
+    if name not in task_names():
+        raise LearningError(f"{bag}: does not say which task of the suite was driven: name it, or its file, by --task")
+    return name
+
+
+def _terms(options: ImproveOptions, task: NavigationTask, to_learn: Transitions) -> dict[str, Any]:
+    """Return what must be the same for a call to go on, as JSON."""
+    from ctrl_rl_learning.offline.data.digests import episode_digests
+
+    return {
+        "task_digest": task_digest(task),
+        "episodes": episode_digests(to_learn),
+        "method": options.method,
+        "updates": options.updates,
+        "hidden": options.hidden,
+        "seed": options.seed,
+        "held_out": options.held_out,
+        "value": options.value,
+        "clearance": options.clearance,
+    }
+
+
+def _kept_policy(options: ImproveOptions, terms: Mapping[str, Any]) -> Actor | None:
+    """Return the policy that an earlier call has learnt; None where there is none.
+
+    Raises:
+        LearningError: It was learnt from other bags, or otherwise.
+    """
+    file = options.output / POLICY
+    if not file.exists() or options.overwrite:
+        return None
+    actor = Actor.load(file)
+    before = actor.manifest.get("improved")
+    if before != terms:
+        known = before if isinstance(before, Mapping) else {}
+        other = next(name for name, value in terms.items() if known.get(name) != value)
+        raise LearningError(f"{file}: was learnt with other {other}: name another --output, or --overwrite it")
+    return actor
+
+
+def _judged(
+    options: ImproveOptions, task: NavigationTask, actor: Actor, to_judge: Transitions, terms: Mapping[str, Any]
+) -> int:
+    """Judge a policy, write the report, and print it; one of an earlier call is printed again."""
+    file = options.output / REPORT
+    kept = None if options.overwrite else _kept_report(file, terms)
+    if kept is None:
+        values = None
+        if options.value is not None:
+            from ctrl_rl_learning.offline.data.values import load_values
+
+            values = load_values(options.value, task, options.values)
+        report = judge(to_judge, task, actor, values, updates=options.fit_updates, fits=options.fits, seed=options.seed)
+        objections = [f"objection  {objection.reason}" for objection in report.objections]
+        lines = [*estimate_lines(report), *objections, *verdict_lines(report)]
+        kept = {"terms": dict(terms), "verdict": report.verdict, "better": report.better, "lines": lines}
+        atomic_write(file, json.dumps(with_digest(kept)))
+    text = "\n".join(kept["lines"])
+    atomic_write(options.output / PAGE, f"{text}\n")
+    print(text)
+    print(f"report     {options.output / PAGE}")
+    print(f"drive it   ros2 run ctrl_rl_core policy --ros-args -p policy:={options.output / POLICY}")
+    return 0 if kept["better"] else 1
+
+
+def _kept_report(file: Path, terms: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the report of an earlier call of the same terms; None where there is none."""
+    if not file.exists():
+        return None
+    with raise_as(LearningError, file, "delete it to have the policy judged again"):
+        content: dict[str, Any] = read_json(file)
+    return content if content.get("terms") == json.loads(json.dumps(dict(terms))) else None
+
+
+improve = make_command("improve", ImproveOptions, _improve)
