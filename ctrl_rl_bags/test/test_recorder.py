@@ -2,12 +2,14 @@
 
 import json
 import os
+import shutil
 import signal
 import time
 
 from recording import record, stop
 
 from ctrl_rl_bags import bag_info, read_messages, recover
+from ctrl_rl_core import load_task, task_digest, task_file
 
 # Sends scans numbered in their frame, at a rate, and one latched text before them.
 PUBLISHER = """
@@ -70,9 +72,9 @@ def numbers(bag, name="sender"):
 
 
 def test_records_everything_and_stops_in_good_order(start, tmp_path):
-    (tmp_path / "task.yaml").write_text("goal: [1, 2]\n")
+    shutil.copy(task_file("car_ttr"), tmp_path / "car_ttr.yaml")
     publisher = publish(start)  # the note is published before anyone listens
-    recorder = record(start, tmp_path / "bag", f"digest_files:=['task={tmp_path}/task.yaml']", "exclude:=['/rosou.']")
+    recorder = record(start, tmp_path / "bag", f"digest_files:=['task={tmp_path}/car_ttr.yaml']", "exclude:=['/rosou.']")
     assert publisher.stdout.readline() == "sent\n"
     assert publisher.stdout.readline() == "diagnosed\n"
     wait_for(tmp_path / "bag" / "bag_0.mcap", b"parameters./sender", b"parameters./recorder")
@@ -88,7 +90,7 @@ def test_records_everything_and_stops_in_good_order(start, tmp_path):
     assert info.topics["/diagnostics"].message_count >= 1
     assert "/parameter_events" in info.topics
     assert "/rosout" not in info.topics
-    assert len(info.custom_data["digest.task"]) == 64
+    assert info.custom_data["digest.task"] == task_digest(load_task("car_ttr"))
     assert json.loads(info.custom_data["parameters./sender"])["use_sim_time"] is False
     assert json.loads(info.custom_data["parameters./recorder"])["queue_depth"] == 2000
     status = next(read_messages(tmp_path / "bag", ["/diagnostics"])).data.status[0]

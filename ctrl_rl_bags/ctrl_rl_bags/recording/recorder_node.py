@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import time
+from contextlib import suppress
 
 from ctrl_rl_core.io import FileError, open_file
 from ctrl_rl_core.ros import Status, ok, warn
@@ -16,7 +17,7 @@ from ctrl_rl_bags.format.checks import BagError
 from ctrl_rl_bags.format.writer import BagWriter
 from ctrl_rl_bags.recording.recorder import ParameterCollector, TopicRecorder
 from ctrl_rl_bags.recording.write_queue import BagQueue
-from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
+from ctrl_rl_core import Parameter, ParameterError, SuiteNode, TaskError, load_task, run_node, task_digest
 
 _DISCOVERY_S = 0.2
 _PATIENCE_S = 4.0
@@ -149,6 +150,9 @@ def _digests(texts: list[str]) -> dict[str, str]:
         try:
             with open_file(path, math.inf) as (file, _):
                 out[name] = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+            if name == "task":  # its content counts, as in policies and grids: who reads the bag compares with that
+                with suppress(TaskError):
+                    out[name] = task_digest(load_task(path))
         except OSError as error:
             raise ParameterError(f"parameter 'digest_files': {path} cannot be read ({error.strerror})") from None
         except FileError as error:
