@@ -28,7 +28,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "examples" / "own_robot"
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """Install the example's package as pip does, for this process; return a function that changes the entry point."""
-    monkeypatch.setattr(sys, "path", [str(FOLDER), str(tmp_path), *sys.path])
+    monkeypatch.setattr(sys, "path", [str(tmp_path), str(FOLDER), *sys.path])  # pip leaves its own offer there
     own = tmp_path / "own_robot-0.1.0.dist-info"
     own.mkdir()
     (own / "METADATA").write_text("Metadata-Version: 2.1\nName: own-robot\nVersion: 0.1.0\n")
