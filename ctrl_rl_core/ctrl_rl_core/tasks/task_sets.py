@@ -1,6 +1,7 @@
-"""Which of a task's sets a state lies in: goal G, collision C, trap Tr, or intermediate I (thesis Eq. 3.9, 3.15, 3.17).
+"""Classifies states: goal G, collision C, trap Tr, or intermediate I (thesis Eq. 3.9, 3.15, 3.17).
 
-Geometry alone decides, so that it can be asked of a real robot as well: the body counts as a disc, and time does not.
+The classification is purely geometric, so it also works on a real robot: the body counts as a disc, and time is
+ignored.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from ctrl_rl_core.tasks.regions import Region, position_indices, wrap
 from ctrl_rl_core.tasks.task import NavigationTask
 
 PATH_NAMES = ("s", "lateral", "heading")
-"""Components in which the regions of a task with a corridor are given."""
+"""Components of the regions in a corridor task."""
 
 
 class PathCoordinates:
-    """Poses along a path, from samples of it that are made once."""
+    """Path coordinates of poses, computed from precomputed samples of the path."""
 
     _STEP = 0.01
 
@@ -29,7 +30,7 @@ class PathCoordinates:
         self._poses = path.pose(self._s)
 
     def __call__(self, pose: ArrayLike) -> NDArray[np.float64]:
-        """Return s [m], lateral [m] and heading [rad] (3,) of a pose x, y, theta (3,)."""
+        """Return s [m], lateral offset [m] and heading [rad] (3,) of a pose x, y, theta (3,)."""
         x, y, theta = np.asarray(pose, dtype=float)
         dx, dy = x - self._poses[:, 0], y - self._poses[:, 1]
         nearest = int(np.argmin(dx * dx + dy * dy))
@@ -44,11 +45,11 @@ class TaskSets:
     """The sets of one navigation task, over states of its system.
 
     Args:
-        task: Task whose sets are meant.
+        task: Task with the sets.
         width: Free width of its corridor [m]; None for the task's own.
 
     Raises:
-        TaskError: The width does not suit the task.
+        TaskError: The width is invalid for the task.
     """
 
     def __init__(self, task: NavigationTask, width: float | None = None) -> None:
@@ -63,17 +64,21 @@ class TaskSets:
         self._path = None if self._world.path is None else PathCoordinates(self._world.path)
 
     def clearance(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance (...) of the body's disc to the nearest wall or obstacle [m] at states (..., n)."""
+        """Return the distance (...) from the body's disc to the nearest wall or obstacle [m] at states (..., n)."""
         points = np.asarray(states, dtype=float)[..., self._positions]
         return self._world.signed_distance(points) - self._radius
 
+    def in_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether states (..., n) lie in the goal (...), along the path where the task has a corridor."""
+        return self._contains(self._goal, np.asarray(states, dtype=float))
+
     def outcomes(self, states: ArrayLike) -> NDArray[np.uint8]:
-        """Return for states (..., n) in which set (...) they lie; collision goes before goal, goal before trap."""
+        """Classify states (..., n) into sets (...); collision takes precedence over goal, and goal over trap."""
         states = np.asarray(states, dtype=float)
         out = np.full(states.shape[:-1], Outcome.RUNNING, dtype=np.uint8)
         if self._trap is not None:
             out[self._contains(self._trap, states)] = Outcome.TRAP
-        out[self._contains(self._goal, states)] = Outcome.GOAL
+        out[self.in_goal(states)] = Outcome.GOAL
         out[self.clearance(states) <= 0.0] = Outcome.COLLISION
         if self._tilt is not None:
             out[np.abs(wrap(states[..., self._tilt])) > self._tilt_limit] = Outcome.COLLISION

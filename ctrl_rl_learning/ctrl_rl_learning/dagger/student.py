@@ -25,8 +25,21 @@ class Student:
         optimizer: Optimiser of the network, with its state.
     """
 
-    def __init__(self, interface: PolicyManifest) -> None:
-        untrained = new_actor(interface, _HIDDEN)
+    def __init__(
+        self,
+        interface: PolicyManifest,
+        middle: NDArray[np.float32] | None = None,
+        unit: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Begin untrained.
+
+        Args:
+            interface: Observation and commands.
+            middle: Observation in the interface's units that becomes 0 (n,); 0 unless given.
+            unit: Distance above it that becomes 1 (n,); 1 unless given.
+        """
+        untrained = new_actor(interface, _HIDDEN, middle, unit)
+        self._middle, self._unit = untrained.middle, untrained.unit
         self._low, self._span = untrained.low, untrained.high - untrained.low
         self.network = ActorNetwork(untrained)
         self.optimizer = torch.optim.AdamW(self.network.parameters(), lr=_RATE, weight_decay=_DECAY)
@@ -34,7 +47,7 @@ class Student:
     def command(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return the command (2,) for an observation (n,)."""
         with torch.no_grad():
-            action = self.network(torch.from_numpy(observation)).numpy()
+            action = self.network(torch.from_numpy((observation - self._middle) / self._unit)).numpy()
         return np.asarray(self._low + 0.5 * (action + 1.0) * self._span, np.float64)
 
     def fit(
@@ -45,7 +58,7 @@ class Student:
         random: np.random.Generator,
     ) -> float:
         """Learn the commands (N, 2) of observations (N, n), and return the mean squared error of the last tenth."""
-        inputs = torch.from_numpy(observations)
+        inputs = torch.from_numpy((observations - self._middle) / self._unit)
         wanted = torch.from_numpy(2.0 * (commands - self._low) / self._span - 1.0)
         losses = []
         for count in range(updates):

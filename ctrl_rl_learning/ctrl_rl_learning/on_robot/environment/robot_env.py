@@ -10,7 +10,7 @@ from ctrl_rl_core.policies import ObservationBuilder
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, PolicyManifest
+from ctrl_rl_core import NavigationTask, Outcome, PolicyManifest, TaskSets
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.on_robot.environment.rewards import StateReader, StepReward
 from ctrl_rl_learning.on_robot.environment.robot import Driven, Robot, StepEnd
@@ -77,7 +77,8 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
 
     Observation: what the policy node builds of the same interface. Action: [-1, 1] for each command, mapped to the
     interface's limits. An episode ends at the goal, by a collision or in a trap (as simulator, operator or pose say),
-    and is cut after the task's steps or outside of the arena.
+    and is cut after the task's steps (`TIMEOUT`) or outside of
+    the arena, corridor or map ("FENCE").
 
     Info of each step: `action` (2,), as sent to the filter on average, the operator's included; `operator`, the part
     of the step that the operator drove; `changed`, the part of the filter's answers that were another command;
@@ -106,9 +107,8 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         self._observe = ObservationBuilder(interface)
         self._low, self._high = np.array(interface.action.low), np.array(interface.action.high)
         self._clock = StepClock(interface.period or task.episode.time_step)
-        names = task.system.build().state_names
-        self._state_of = StateReader(names)
-        self._in_goal = task.goal.region.make_test(names)
+        self._state_of = StateReader(task.system.build().state_names)
+        self._sets, self._bounds = TaskSets(task), tuple(task.plane_bounds.values())
         self._steps = 0
         self.observation_space = spaces.Box(-np.inf, np.inf, (interface.size,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -150,15 +150,16 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         state = self._state_of(reading.sensors)
         outcome = reading.outcome
         if outcome is None:
-            outcome = Outcome.GOAL if self._in_goal(state.tolist()) else Outcome.RUNNING
+            outcome = Outcome.GOAL if self._sets.in_goal(state) else Outcome.RUNNING
         fenced = outcome is Outcome.RUNNING and not self._inside(state)
-        truncated = fenced or outcome is Outcome.TIMEOUT or self._steps >= self._task.episode.steps
+        late = outcome is Outcome.RUNNING and self._steps >= self._task.episode.steps
+        truncated = fenced or late or outcome is Outcome.TIMEOUT
         terminated = outcome not in (Outcome.RUNNING, Outcome.TIMEOUT)
         if terminated or truncated:
             self._robot.stand()
         reward = self._reward.step(state, outcome)
         info = self._info(driven, timing, reading)
-        info["outcome"] = "FENCE" if fenced else outcome.name
+        info["outcome"] = "FENCE" if fenced else (Outcome.TIMEOUT if late else outcome).name
         return self._observe(reading.sensors), reward, terminated, truncated and not terminated, info
 
     def close(self) -> None:
@@ -166,13 +167,10 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         self._robot.stand()
 
     def _inside(self, state: NDArray[np.float64]) -> bool:
-        """Return whether the robot is in the arena, or near it: odometry drifts."""
-        arena = self._task.arena
-        if arena is None:
-            return True
+        """Return whether the robot is within the task's walls, or near them: odometry drifts."""
         return all(
             side.low - _FENCE_M <= place <= side.high + _FENCE_M
-            for side, place in zip(arena.bounds, state[:2], strict=False)
+            for side, place in zip(self._bounds, state[:2], strict=True)
         )
 
     def _info(self, driven: Driven, timing: StepTiming, reading: StepEnd) -> dict[str, Any]:
