@@ -74,7 +74,9 @@ def numbers(bag, name="sender"):
 def test_records_everything_and_stops_in_good_order(start, tmp_path):
     shutil.copy(task_file("car_ttr"), tmp_path / "car_ttr.yaml")
     publisher = publish(start)  # the note is published before anyone listens
-    recorder = record(start, tmp_path / "bag", f"digest_files:=['task={tmp_path}/car_ttr.yaml']", "exclude:=['/rosou.']")
+    recorder = record(
+        start, tmp_path / "bag", f"digest_files:=['task={tmp_path}/car_ttr.yaml']", "exclude:=['/rosou.']"
+    )
     assert publisher.stdout.readline() == "sent\n"
     assert publisher.stdout.readline() == "diagnosed\n"
     wait_for(tmp_path / "bag" / "bag_0.mcap", b"parameters./sender", b"parameters./recorder")
