@@ -59,13 +59,13 @@ def draw_pair(seed: int, folder: Path, kind: str = "") -> Pair:
     for name, content in (("file", file), ("recorded", world), ("driven", driven)):
         path = folder / name / f"{NAME}.yaml"
         path.parent.mkdir(parents=True)
-        path.write_text(yaml.safe_dump(content))
+        path.write_text(yaml.safe_dump(content, sort_keys=False))
         tasks[name] = load_navigation_task(path)
     return Pair(kind, folder / "file" / f"{NAME}.yaml", tasks["file"], tasks["recorded"], tasks["driven"])
 
 
 def _draw(random: np.random.Generator) -> dict[str, Any]:
-    boxes = [_box(random) for _ in range(int(random.integers(3, 8)))]
+    boxes = [_box(random) for _ in range(int(random.integers(7, 13)))]
     speed, turn = random.uniform(1.2, 2.0), random.uniform(0.5, 1.0)
     return {
         "name": NAME,
@@ -103,7 +103,7 @@ def _draw(random: np.random.Generator) -> dict[str, Any]:
 def _box(random: np.random.Generator) -> dict[str, Any]:
     """Draw a box that leaves room at start and goal."""
     while True:
-        centre, size = random.uniform(-3.6, 3.6, 2), random.uniform(0.4, 1.1, 2)
+        centre, size = random.uniform(-3.6, 3.6, 2), random.uniform(0.5, 1.2, 2)
         if min(np.hypot(*(centre - _START)), np.hypot(*(centre - _GOAL))) > _ROOM + 0.6:
             return {"centre": centre, "size": size}
 
