@@ -32,7 +32,7 @@ _EXPLAINED = 0.5
 """Share of the differing beams that an offset must leave at most to count as one."""
 _TOLD_SHIFT, _TOLD_TURN = 0.05, math.radians(1.5)
 _REFUSED_SHIFT, _REFUSED_TURN = 0.10, math.radians(3.0)
-_REFUSED_BEAMS, _REFUSED_OFF = 20, 0.08
+_REFUSED_BEAMS, _REFUSED_OFF = 20, 0.06
 """Number of beams that must show a place, and distance from the file's wall [m], to refuse the file."""
 _CORNER = 0.12
 """Extent of a missing wall below which it is taken for a corner that beams just miss [m]."""
@@ -83,7 +83,7 @@ class Account:
     @property
     def moved_walls(self) -> list[Place]:
         """Places at which walls differ too much to be believed."""
-        walls = [place for place in self.places if place.kind != "mover" and not _is_corner(place)]
+        walls = [place for place in self.places if place.kind != "mover" and place.sure and not _is_corner(place)]
         return [place for place in walls if place.beams >= _REFUSED_BEAMS and place.off >= _REFUSED_OFF]
 
     @property

@@ -11,9 +11,9 @@ from ctrl_rl_core import NavigationTask
 from ctrl_rl_learning.offline.witness.record import DriveRecord
 
 Array = NDArray[np.float64]
-_DEEP = 0.06
+_DEEP = 0.10
 """Depth in a wall of the file that an error of the pose explains [m]."""
-_FEW_INSIDE = 0.002
+_FEW_INSIDE = 0.005
 """Share of the states that may lie deeper."""
 _MORE, _SMALL = 1.1, np.array((0.05, 0.1))
 """Share and amounts by which speeds [m/s] and turn rates [rad/s] may exceed their limits: odometry is noisy."""
@@ -22,10 +22,13 @@ _NAMES = (("speed", "m/s"), ("turn rate", "rad/s"))
 
 
 def states_inside(record: DriveRecord, task: NavigationTask) -> tuple[int, int]:
-    """Return how many recorded states lie inside what the file calls a collision, and the number of all."""
+    """Return how many recorded states lie inside what the file calls a collision, and the number of all.
+
+    The last state of an episode does not count: a simulated body that has collided may be in a wall by then.
+    """
     robot = task.robot.robot
     inner = task.robot.radius if robot is None or not robot.width else 0.5 * min(robot.width, robot.length)
-    places = np.concatenate([seen.poses[:, :2] for seen in record.sightings])
+    places = np.concatenate([seen.poses[:-1, :2][np.diff(seen.episodes) == 0] for seen in record.sightings])
     return int((task.build_world().signed_distance(places) < inner - _DEEP).sum()), len(places)
 
 

@@ -27,6 +27,9 @@ _FEWEST_BEAMS, _FEWEST_SCANS, _LEAST_SHARE = 10, 3, 1e-4
 """Numbers of beams and scans, and share of all beams, that must show a place."""
 _PIECE = 0.1
 """Length of a piece of wall that beams vote on [m]."""
+_LOOK = 20
+"""Number of scans of an episode that are one look: errors of the pose are the same in all of them."""
+_CONFIDENCE = 1.96
 _LEAST_CLEARANCE, _BESIDE = 0.2, 4
 """Distance from walls, of the file [m] and of the bag [cells], from which on a mover is told from a wrong pose."""
 _JOIN = 2
@@ -45,6 +48,8 @@ class Place:
         off: How far it is from where the file has a wall; of a missing wall, how much farther beams go [m].
         beams: Number of beams that show it.
         episodes: Number of episodes in which they do.
+        looks: Number of looks that show it: some seconds of an episode each.
+        looks_there: Number of all looks at it.
     """
 
     kind: Kind
@@ -53,17 +58,30 @@ class Place:
     off: float
     beams: int
     episodes: int
+    looks: int
+    looks_there: int
+
+    @property
+    def sure(self) -> bool:
+        """Whether most looks there would show it, whatever was wrong with the pose in some (Wilson 1927)."""
+        share, z = self.looks / self.looks_there, _CONFIDENCE**2 / self.looks_there
+        half = _CONFIDENCE * np.sqrt(share * (1.0 - share) / self.looks_there + 0.25 * z / self.looks_there)
+        return bool((share + 0.5 * z - half) / (1.0 + z) > 0.5)
 
     def __str__(self) -> str:
         """Say it in one line."""
         x, y = self.centre
-        where, by = f"({x:.1f}, {y:.1f}) m", f"seen by {self.beams} beams of {self.episodes} episodes"
+        drives = "1 episode" if self.episodes == 1 else f"{self.episodes} episodes"
+        where, by = f"({x:.1f}, {y:.1f}) m", f"seen by {self.beams} beams of {drives}"
         wide = f"{max(self.size[0], 0.1):.1f} m x {max(self.size[1], 0.1):.1f} m"
+        perhaps = "" if self.sure else "perhaps "
         if self.kind == "missing":
-            return f"the file's wall at {where} is not there: beams go {self.off:.2f} m farther over {wide}, {by}"
+            return (
+                f"{perhaps}the file's wall at {where} is not there: beams go {self.off:.2f} m farther over {wide}, {by}"
+            )
         if self.kind == "mover":
             return f"something that moves, or was there at times, at {where}: over {wide}, {by}"
-        return f"a wall at {where} that the file does not have, {self.off:.2f} m from the file's: {wide}, {by}"
+        return f"{perhaps}a wall at {where} that the file does not have, {self.off:.2f} m from the file's: {wide}, {by}"
 
 
 def find_places(beams: Beams, world: World) -> tuple[Place, ...]:
@@ -115,33 +133,50 @@ def _missing_ones(beams: Beams, grid: Cells) -> list[Place]:
     count = int(np.prod(pieces.shape))
     share = np.bincount(at, farther, count) / np.maximum(np.bincount(at, minlength=count), 1)
     gone = farther & (share[at] >= _GONE)
-    shown = asked.rows(gone)
-    return _clusters("missing", shown, shown.expected_ends, shown.off, grid)
+    shown, agreeing = asked.rows(gone), asked.rows(~farther)
+    return _clusters("missing", shown, shown.expected_ends, shown.off, grid, agreeing)
 
 
-def _clusters(kind: Kind, beams: Beams, at: Array, off: Array, grid: Cells) -> list[Place]:
-    """Return the places of beams that end `at` (M, 2), off by (M,) [m]; neighbouring cells are one place."""
+def _clusters(
+    kind: Kind, beams: Beams, at: Array, off: Array, grid: Cells, against: Beams | None = None
+) -> list[Place]:
+    """Return the places of beams that end `at` (M, 2), off by (M,) [m]; neighbouring cells are one place.
+
+    Args:
+        kind: Kind of the places.
+        beams: Beams that show them.
+        at: Where they do [m].
+        off: How far that is from its place by the file [m].
+        grid: Cells by which beams are neighbours.
+        against: Beams that would have ended there, and did.
+    """
     if not len(beams):
         return []
-    counts = grid.count(at)
-    names, number = label(binary_dilation(counts > 0, iterations=_JOIN))
-    of = names.ravel()[grid.index(at)]
+    names, number = label(binary_dilation(grid.count(at) > 0, iterations=_JOIN))
+    of, looks = names.ravel()[grid.index(at)], _looks(beams)
+    others = np.empty(0, np.intp) if against is None else names.ravel()[grid.index(against.expected_ends)]
+    other_looks = np.empty(0, np.int64) if against is None else _looks(against)
     out = []
     for name in range(1, number + 1):
         chosen = of == name
         if chosen.sum() < _FEWEST_BEAMS or len(np.unique(beams.scans[chosen])) < _FEWEST_SCANS:
             continue
         low, high = np.quantile(at[chosen], (0.02, 0.98), axis=0)
-        middle, size = 0.5 * (low + high), high - low
+        (x, y), (wide, tall) = (0.5 * (low + high)).tolist(), (high - low).tolist()
+        shown = _most_of(looks[chosen], other_looks[others == name])
+        distance, count = float(np.median(np.abs(off[chosen]))), int(chosen.sum())
         episodes = len(np.unique(beams.episodes[chosen]))
-        out.append(
-            Place(
-                kind,
-                (float(middle[0]), float(middle[1])),
-                (float(size[0]), float(size[1])),
-                float(np.median(np.abs(off[chosen]))),
-                int(chosen.sum()),
-                episodes,
-            )
-        )
+        out.append(Place(kind, (x, y), (wide, tall), distance, count, episodes, int(shown.sum()), len(shown)))
     return out
+
+
+def _looks(beams: Beams) -> NDArray[np.int64]:
+    """Return the number of the look of each beam (M,)."""
+    return beams.episodes * (1 + int(beams.scans.max(initial=0))) + beams.scans // _LOOK
+
+
+def _most_of(shows: NDArray[np.int64], denies: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether most beams of each look (looks,) show a place, by the looks of those that do and do not."""
+    looks, which = np.unique(np.concatenate((shows, denies)), return_inverse=True)
+    votes = np.concatenate((np.ones(len(shows)), -np.ones(len(denies))))
+    return np.asarray(np.bincount(which, votes, len(looks)) > 0.0)
