@@ -1,4 +1,4 @@
-"""Arrays of models and policies: their type, and the checks that a file's or a caller's must pass."""
+"""Arrays of models and policies: their type and validation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _LARGEST = 1e100
 
 
 def real_array(name: str, values: ArrayLike) -> Array:
-    """Return values as an array of float64; it is the same one where it is that already.
+    """Convert values to a float64 array, without copying if they are one.
 
     Raises:
-        KoopmanError: the values are not real numbers, e.g. complex, text or rows of unequal length.
+        KoopmanError: The values are not real numbers, e.g. complex, text or rows of unequal length.
     """
     try:
         array = np.asarray(values)
@@ -29,10 +29,10 @@ def real_array(name: str, values: ArrayLike) -> Array:
 
 
 def check_size(name: str, array: Array) -> None:
-    """Refuse numbers whose squares or products would leave the range of floats.
+    """Raise if squares or products of numbers would overflow.
 
     Raises:
-        KoopmanError: names the array.
+        KoopmanError: Names the array.
     """
     largest = float(np.abs(array).max(initial=0.0))
     if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
@@ -40,14 +40,14 @@ def check_size(name: str, array: Array) -> None:
 
 
 def check_arrays(shapes: Mapping[str, tuple[Array, tuple[int, ...]]], reason: str) -> None:
-    """Refuse arrays of another shape, and values that are not finite.
+    """Raise if arrays have the wrong shape or non-finite values.
 
     Args:
-        shapes: Arrays and the shapes that they must have, by name.
-        reason: Words that end the message about a shape, e.g. "for 19 observables".
+        shapes: Arrays and their required shapes, by name.
+        reason: Text that ends the message about a shape, e.g. "for 19 observables".
 
     Raises:
-        KoopmanError: names the array.
+        KoopmanError: Names the array.
     """
     for name, (array, shape) in shapes.items():
         if array.shape != shape:

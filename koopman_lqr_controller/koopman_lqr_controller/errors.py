@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class KoopmanError(CtrlRlError):
-    """Data, model or policy file do not allow a controller; the message says why and what to do."""
+    """Data, model or policy file do not permit a controller; the message gives the reason and the remedy."""

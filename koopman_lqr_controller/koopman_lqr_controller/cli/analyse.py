@@ -1,4 +1,4 @@
-"""The command `analyse`: a page with pictures of what control theory says of a policy file."""
+"""The command `analyse`: a page with figures from a control-theoretic analysis of a policy file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from koopman_lqr_controller.identification.evaluation import time_step_mismatch
 from koopman_lqr_controller.policies.policy_file import digest, find_policy, load_policy
 
 OptionalFolderToWrite = Annotated[Path | None, checked(folder_to_write, "FOLDER")]
-"""Option that names a folder to write to, and may be left out."""
+"""Optional output folder."""
 _PAGE, _DATA = "analysis.md", "analysis.json"
 
 
@@ -29,13 +29,13 @@ Example:
 
 @dataclass(frozen=True, kw_only=True)
 class AnalyseOptions(TopicOptions, PolicyOption):
-    """Write what control theory says of a policy: poles, controllability, costs, prediction, the closed loop."""
+    """Write a control-theoretic analysis of a policy: poles, controllability, costs, prediction, closed loop."""
 
     output: OptionalFolderToWrite = None
-    """Folder to write to; the policy's name and "-analysis" unless given."""
+    """Output folder; by default the policy's name with the suffix "-analysis"."""
 
     bags: tuple[Path, ...] = ()
-    """Folders of rosbag2 whose drives measure the prediction; episodes in the environment do it unless given."""
+    """rosbag2 folders whose drives are used to measure the prediction; by default episodes in the environment."""
 
     episodes: at_least(1) = 6  # type: ignore[valid-type]
     """Number of episodes in the environment."""

@@ -1,4 +1,4 @@
-"""Options that the commands on recorded drives share, and the segments that they read."""
+"""Options shared by the commands on recorded drives, and reading of their segments."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ TELL = partial(print_note, "note")
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyOption:
-    """Policy that a command works on."""
+    """Policy to work on."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Policy file of either kind, or the name of one that comes with the package."""
+    """Policy file of either kind, or the name of a shipped policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopicOptions(DriveOptions):
-    """Topics of the robot in a bag, and how its lidar is mounted."""
+    """Topics of the robot in a bag, and the mounting of its lidar."""
 
     lidar_yaw: Annotated[float | None, checked(finite_number, "FLOAT")] = None
-    """Direction of the scan's zero bearing in the robot's frame [rad]; by the bag's tf_static unless given, else 0."""
+    """Direction of the scan's zero bearing in the robot's frame [rad]; by default from the bag's tf_static, else 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagOptions(TopicOptions):
-    """Bags that a command works on, and the part of them that is held out."""
+    """Bags to work on, and the held-out part."""
 
     bags: Annotated[
         tuple[Path, ...],
         tyro.conf.Positional,
         tyro.conf.arg(metavar="BAG [BAG ...]", help_behavior_hint="(required)"),
     ]
-    """Folders of rosbag2 with the topics scan, odom and cmd_vel."""
+    """rosbag2 folders with the topics scan, odom and cmd_vel."""
 
     held_out: float = 0.2
-    """Last part of the steps, which is kept from the fit; from 0 to below 1."""
+    """Last fraction of the steps, held out from the fit, in [0, 1)."""
 
     def __post_init__(self) -> None:
         if not self.bags:
@@ -57,7 +57,7 @@ class BagOptions(TopicOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputOptions:
-    """Policy file that a command writes."""
+    """Policy file to write."""
 
     output: FileToWrite
     """Policy file to write (.safetensors)."""
@@ -69,17 +69,17 @@ class OutputOptions:
 def read_segments(
     bags: Sequence[Path], options: TopicOptions, observe: ObservationFn, tell: Callable[[str], object] = TELL
 ) -> list[TrajectorySegment]:
-    """Return the segments of all bags, in their order.
+    """Return the segments of all bags, in order.
 
     Args:
         bags: Folders of rosbag2.
-        options: Topics of the robot, and how its lidar is mounted.
+        options: Topics of the robot, and the mounting of its lidar.
         observe: Function from a scan and odometry to an observation.
-        tell: Takes lines about what was left out; prints them on stderr unless given.
+        tell: Called with lines about omissions; prints them to stderr by default.
 
     Raises:
-        KoopmanError: a topic is missing or holds nothing usable.
-        BagError: a bag cannot be read.
+        KoopmanError: A topic is missing or has no usable message.
+        BagError: A bag cannot be read.
     """
     out: list[TrajectorySegment] = []
     for bag in tqdm(bags, desc="reading", unit="bag", disable=None):

@@ -1,4 +1,4 @@
-"""The commands `compare` and `plot`: the tables and figures of thesis 4.3, under one budget each."""
+"""The commands `compare` and `plot`: the tables and figures of thesis 4.3, each under one budget."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def _numbers(kind: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(LearningOptions):
-    """Learn with all methods of a table or figure of thesis 4.3, each with the same budget, and set them side by side.
+    """Train all methods of a table or figure of thesis 4.3 with the same budget, and compare them.
 
-    Runs that another comparison, or `train`, has left in the folder are taken, not learnt again.
+    Finished runs of another comparison or of `train` in the folder are reused.
     """
 
     table: Annotated[str | None, _numbers("table")] = None
@@ -45,23 +45,23 @@ class Compare(LearningOptions):
     figure: Annotated[str | None, _numbers("figure")] = None
     """Figure of the thesis."""
     tasks: tuple[str, ...] = ()
-    """Tasks (default: all that the thesis compares on)."""
+    """Tasks (default: all tasks compared in the thesis)."""
     methods: tuple[str, ...] = ()
-    """Some of the methods below (default: all)."""
+    """Subset of the methods below (default: all)."""
     seeds: Positive = 3
     """Number of seeds, counted from 0."""
     results: FolderToWrite = Path("docs/results")
-    """Folder to write tables and curves to, as JSON."""
+    """Folder for tables and curves as JSON."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """Draw the curves of learning (thesis Fig. 4.3, 4.8, 4.9) from results that `compare` wrote."""
+    """Draw learning curves (thesis Fig. 4.3, 4.8, 4.9) from results written by `compare`."""
 
     results: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """JSON files of `compare` or `train`."""
+    """JSON files written by `compare` or `train`."""
     output: FolderToWrite = Path("docs/images")
-    """Folder of the pictures."""
+    """Folder for the figures."""
 
 
 def _compare(options: Compare) -> int:

@@ -21,7 +21,7 @@ from koopman_lqr_controller.training.settings import RECIPES
 
 _LEARN_WORDS = ("recipe", "learner", "keep", "samples", "chunks", "actions", "episodes", "consolidation", "device")
 _CONSOLIDATE_WORDS = ("latent", "episodes", "live", "noise", "seed")
-"""Options that a policy's file records, because they decide what it holds."""
+"""Options recorded in a policy's file, because they affect its content."""
 _EPILOG = (
     "tasks:\n"
     + "\n".join(
@@ -46,37 +46,37 @@ class Train(LearningOptions):
     seeds: Positive = 1
     """Number of seeds, counted from --first-seed."""
     first_seed: NotNegative = 0
-    """First seed. Machines that learn different seeds with --keep last can fill one --results file in turn."""
+    """First seed. Machines that train different seeds with --keep last can add to one --results file in turn."""
     recipe: Annotated[str, one_of(tuple(RECIPES))] = "thesis"
-    """Settings to begin with: the task's, after the thesis; or, where observations are vectors, "quick", which learns
-    from far fewer simulated frames, and "model_based", which begins later and ends higher on the cheetah, in three
-    times the time. Those of --set are changed after it."""
+    """Base settings: the task's own, as in the thesis; or, for vector observations, "quick", which needs far fewer
+    simulated frames, or "model_based", which starts more slowly and ends higher on the cheetah, in three times the
+    time. Values from --set are applied afterwards."""
     learner: Annotated[str, one_of(LEARNERS)] = "koopman"
     """Learner."""
     keep: Literal["best", "last"] = "best"
-    """Policy that a run ends with: the best in the evaluations after each chunk, or the last, which nothing chose.
-    With the last, --results holds returns by task and frames, beside those that the file has already: of other tasks,
+    """Policy kept by a run: the best in the evaluations after each chunk, or the last, which involves no selection.
+    With the last, --results contains returns by task and frames, merged with those already in the file: of other tasks,
     and of other seeds with the same settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Consolidate:
-    """Turn a learnt policy into the true LQR of its own model: inverse LQR in fewer latent dimensions that predict."""
+    """Turn a learnt policy into the LQR of its own model: inverse LQR in fewer latent dimensions that predict well."""
 
     policy: Annotated[Path, tyro.conf.Positional]
-    """Policy that `train` learnt (policy.safetensors)."""
+    """Policy learnt by `train` (policy.safetensors)."""
     output: FileToWrite
     """Policy file to write (.safetensors)."""
     latent: tuple[Positive, ...] = ()
     """Latent dimensions to try (default: 4 to 24)."""
     episodes: Positive = 20
-    """Fresh episodes at the end, for each policy."""
+    """New episodes for the final evaluation of each policy."""
     live: _AtLeast5 = 30
-    """Episodes of each round."""
+    """Episodes per round."""
     noise: float = 0.5
-    """Largest noise that is added to u."""
+    """Maximum noise added to u."""
     seed: NotNegative = 0
-    """Seed of all episodes."""
+    """Random seed of all episodes."""
     overwrite: bool = False
     """Replace an existing policy file."""
 

@@ -1,4 +1,4 @@
-"""Options that `train` and `compare` share: how long runs go, and where. Imports no torch."""
+"""Options shared by `train` and `compare`: the length and folder of runs. Imports no torch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from koopman_lqr_controller.training.experiments.runs import LearningRun
 
 CONSOLIDATION = 30
-"""Default number of episodes of each round of consolidation."""
+"""Default number of episodes per round of consolidation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +30,9 @@ class LearningOptions(ExperimentOptions):
     """Options of a command that learns from interaction."""
 
     folder: FolderToWrite = Path("runs/koopman")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has a subfolder, from which it is resumed."""
     samples: Positive | None = None
-    """Actions of a run, at most (default: the task's)."""
+    """Maximum number of actions of a run (default: the task's)."""
     chunks: NotNegative = 0
     """Old name of --samples, in units of --actions."""
     actions: NotNegative = 0
@@ -40,22 +40,23 @@ class LearningOptions(ExperimentOptions):
     set: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """Settings of the learner, such as riccati_iterations=3."""
     episodes: Positive = 20
-    """Fresh episodes at the end, for each policy."""
+    """New episodes for the final evaluation of each policy."""
     consolidation: NotNegative = CONSOLIDATION
-    """Episodes of each round of consolidation; 0 for none."""
+    """Episodes per round of consolidation; 0 for none."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device of the networks. "cuda" is several times quicker with --recipe model_based; runs do not repeat exactly."""
+    """Device of the networks. "cuda" is several times faster with --recipe model_based, but runs are not reproducible
+    exactly."""
 
     @property
     def set_words(self) -> list[str]:
-        """Words of all --set."""
+        """Values of all --set options."""
         return [word for words in self.set for word in words]
 
     def changes(self) -> Changes:
         """Return the changed settings.
 
         Raises:
-            KoopmanError: A word is no setting.
+            KoopmanError: A value is not a valid setting.
         """
         out: dict[str, int | float | str] = {}
         for text in self.set_words:
@@ -75,7 +76,7 @@ class LearningOptions(ExperimentOptions):
         keep: Literal["best", "last"] = "best",
         first_seed: int = 0,
     ) -> list[LearningRun]:
-        """Return a run for each seed; its policy says the command that makes it again."""
+        """Return one run per seed; its policy records the command that reproduces it."""
         from koopman_lqr_controller.training.experiments.runs import LearningRun
 
         command = as_command("train", "--task", task, *words, "--first-seed")
@@ -85,7 +86,7 @@ class LearningOptions(ExperimentOptions):
         ]
 
     def run_options(self, task: BenchmarkTask) -> RunOptions:
-        """Return the settings of the runs on a task."""
+        """Return the run settings for a task."""
         if self.chunks:
             note_old_name("koopman_lqr_controller", "--chunks", "--samples")
         actions = self.actions or task.chunk
@@ -103,7 +104,7 @@ def _value(text: str) -> int | float | str:
 
 
 def given_words(options: Any, names: Sequence[str]) -> list[str]:
-    """Return the named options of a dataclass that differ from their defaults, as words of a command line."""
+    """Return the named options of a dataclass that differ from their defaults, as command-line arguments."""
     defaults = {field.name: field.default for field in fields(options)}
     out: list[str] = []
     for name in names:
@@ -114,5 +115,5 @@ def given_words(options: Any, names: Sequence[str]) -> list[str]:
 
 
 def as_command(*words: str) -> str:
-    """Return the command line that makes the same again."""
+    """Return the command line that reproduces a run."""
     return shlex.join(["ros2", "run", "koopman_lqr_controller", *words])

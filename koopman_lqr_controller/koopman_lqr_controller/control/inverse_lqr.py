@@ -16,14 +16,14 @@ from koopman_lqr_controller.models.edmd import LinearModel
 
 _LOG_RANGE = 14.0
 _RESTRAINT = 1e-7
-"""On squared logarithms, relative to the law's own power: it decides where the data do not."""
+"""Regularisation weight of the squared logarithms, relative to the law's power; decides where data do not."""
 _REFUSED = 1e6
-"""Loss where there is no regulator: the search turns back."""
+"""Loss returned if no regulator exists, which makes the search turn back."""
 
 
 @dataclass(frozen=True)
 class LinearLaw:
-    """A linear law u = -K z by what it does on data, weighted: E[w u u^T], E[w u z^T], E[w z z^T].
+    """A linear law u = -K z given by its weighted moments on data: E[w u u^T], E[w u z^T], E[w z z^T].
 
     Attributes:
         uu: Trace of E[w u u^T].
@@ -37,10 +37,10 @@ class LinearLaw:
 
     @classmethod
     def from_samples(cls, z: Array, u: Array, weight: Array) -> LinearLaw:
-        """Return the law of samples z (N, n), u (N, m) with weights (N,), of which none is negative and one positive.
+        """Create a law from samples z (N, n), u (N, m) with weights (N,), non-negative and not all zero.
 
         Raises:
-            KoopmanError: other shapes or weights, or values that are not finite numbers.
+            KoopmanError: Shapes or weights are invalid, or values are not finite.
         """
         z, u, weight = (real_array(name, it) for name, it in (("z", z), ("u", u), ("weight", weight)))
         shapes = {"z": (z, (len(weight), *z.shape[1:])), "u": (u, (len(weight), *u.shape[1:]))}
@@ -51,26 +51,26 @@ class LinearLaw:
         return cls(float((share * u * u).sum()), (share * u).T @ z, (share * z).T @ z)
 
     def mismatch(self, K: Array) -> float:
-        """Return E[w |u + K z|^2] over E[w |u|^2]: 0 for the same law, 1 for one that does nothing."""
+        """Return E[w |u + K z|^2] over E[w |u|^2]: 0 for the same law, 1 for K = 0."""
         return float((self.uu + 2.0 * np.sum(K * self.uz) + np.sum((K @ self.zz) * K)) / max(self.uu, 1e-12))
 
     def gradient(self, K: Array) -> Array:
-        """Return the derivative of `mismatch` by K (m, n)."""
+        """Return the derivative of `mismatch` with respect to K (m, n)."""
         return 2.0 * (K @ self.zz + self.uz) / max(self.uu, 1e-12)
 
 
 def mismatch_and_gradient(logs: Array, model: LinearModel, law: LinearLaw) -> tuple[float, Array]:
-    """Return how far the LQR of exp(logs) is from a law, and the derivative by the logarithms.
+    """Return the mismatch of the LQR for costs exp(logs) to a law, and its derivative by the logarithms.
 
-    The cost-to-go P moves with the costs by the closed loop's Lyapunov equation; its adjoint is solved once.
+    The derivative of the cost-to-go P follows from the closed loop's Lyapunov equation; its adjoint is solved once.
 
     Args:
         logs: Logarithms of Q's and R's diagonals (n + m,).
         model: Linear model with A (n, n) and B (n, m).
-        law: Law to come near to.
+        law: Target law.
 
     Raises:
-        KoopmanError: there is no regulator.
+        KoopmanError: No regulator exists.
     """
     A, B = model.A, model.B
     n = len(A)
@@ -89,17 +89,17 @@ def mismatch_and_gradient(logs: Array, model: LinearModel, law: LinearLaw) -> tu
 def fit_costs(
     model: LinearModel, law: LinearLaw, Q: Array, R: Array, iterations: int = 150
 ) -> tuple[Array, Array, float]:
-    """Return Q (n,), R (m,) and the mismatch that is left.
+    """Fit Q (n,) and R (m,) to a law, and return them with the remaining mismatch.
 
     Args:
         model: Linear model with A (n, n) and B (n, m).
-        law: Law that the regulator is to match.
-        Q: To begin with (n,), positive.
-        R: To begin with (m,), positive.
-        iterations: Largest number of iterations of the search.
+        law: Target law.
+        Q: Initial values (n,), positive.
+        R: Initial values (m,), positive.
+        iterations: Maximum number of iterations of the search.
 
     Raises:
-        KoopmanError: the model has no regulator for the costs to begin with, or shapes and values are no such costs.
+        KoopmanError: The model has no regulator for the initial costs, or the costs have invalid shapes or values.
     """
     A, B = check_model(model.A, model.B)
     n = len(A)

@@ -1,6 +1,6 @@
-"""Linear control in a learnt latent space (thesis Eq. 4.8, 4.9), as it runs on the robot: NumPy only.
+"""Linear control in a learnt latent space (thesis Eq. 4.8, 4.9), as run on the robot. NumPy only.
 
-The gain is not stored: it follows from A, B, Q, R when a policy is made, so that none can differ from its own model.
+The gain is not stored but computed from A, B, Q, R when a policy is created, so it always matches its model.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ _ZERO = np.array(0.0, np.float32)  # NumPy takes a Python number in twice the ti
 
 @dataclass(frozen=True)
 class LatentController:
-    """u = k - K z with z = C psi(x), and the action is u brought into [-1, 1].
+    """u = k - K z with z = C psi(x); the action is u mapped to [-1, 1].
 
-    With a `horizon` the gain is that of Algorithm 1 after so many iterations, k follows the reference, the action is
-    tanh(u), and the model is one of z: what learning optimises. Without, it is the regulator of the infinite horizon,
-    and the model is one of deviations from z_ref and a_ref, with a drift: u = a_ref - K (z - z_ref) is the action
-    itself, cut off at -1 and 1. As a_ref lies inside, the loop as it is deployed is A - B K around z_ref: what
-    consolidation makes. The drift moves the loop's fixed point, not its poles.
+    With a `horizon`, the gain is that of Algorithm 1 after that many iterations, k tracks the reference, the action is
+    tanh(u), and the model describes z; this is what learning optimises. Without a horizon, the law is the
+    infinite-horizon regulator, and the model describes deviations from z_ref and a_ref, with a drift: u = a_ref - K (z
+    - z_ref) is the action itself, clipped to [-1, 1]. Since a_ref is inside these limits, the deployed loop around
+    z_ref is A - B K; this is what consolidation produces. The drift moves the loop's fixed point but not its poles.
 
     Attributes:
         encoder: Embedding psi of observations.
         model: Linear model with A (n, n) and B (n, m).
         Q: Diagonal of the state cost (n,).
         R: Diagonal of the control cost (m,).
-        z_ref: Goal (n,); zeros where there is none.
-        a_ref: Action at z_ref (m,), inside (-1, 1); zeros unless given. Only for the infinite horizon.
-        drift: Step of the model's z at the reference (n,); zeros unless given. Only for the infinite horizon.
-        horizon: Riccati iterations; None for infinitely many.
-        projection: C (n, encoder's n), None for the identity: a reduced latent space.
+        z_ref: Goal (n,); zeros without a goal.
+        a_ref: Action at z_ref (m,), inside (-1, 1); zeros by default. Infinite horizon only.
+        drift: Change of the model's z per step at the reference (n,); zeros by default. Infinite horizon only.
+        horizon: Number of Riccati iterations; None for the infinite horizon.
+        projection: Projection C (n, encoder's n) to a reduced latent space; None for the identity.
         K: Gain (m, n).
         k: Offset of the law (m,).
-        P: cost-to-go (n, n).
+        P: Cost-to-go (n, n).
         spectral_radius: Spectral radius of A - B K.
         residual: Relative residual of the algebraic Riccati equation; infinite with a finite horizon.
     """
@@ -108,7 +108,7 @@ class LatentController:
             raise KoopmanError(f"the projection has shape {self.projection.shape}, must have {n} rows")
 
     def _try_out(self) -> None:
-        """Encode one observation: what cannot be encoded now will not be while a robot drives."""
+        """Encode one observation, so that an encoder that fails is detected before driving."""
         try:
             z = self.latent(np.zeros(self.encoder.shape, np.float32))
         except (ValueError, IndexError) as error:
@@ -127,11 +127,11 @@ class LatentController:
         return psi if self.projection is None else psi.dot(self.projection.T)
 
     def control(self, z: Array) -> Array:
-        """Return u (m,) or (N, m): what the linear law asks for."""
+        """Return the output u (m,) or (N, m) of the linear law."""
         return self.k - z.dot(self.K.T)
 
     def saturate(self, u: Array) -> Array:
-        """Return the action in [-1, 1] that stands for u."""
+        """Map u to the action in [-1, 1]."""
         return np.minimum(np.maximum(u, -1.0), 1.0) if self.horizon is None else np.tanh(u)
 
     def action(self, x: ArrayLike) -> Array:
@@ -151,7 +151,7 @@ class LatentController:
 
 
 class _Step(NamedTuple):
-    """A matrix (in + 1, out + 1) for vectors whose last entry is 1, and what is nonlinear after it."""
+    """A matrix (in + 1, out + 1) for homogeneous vectors (last entry 1), followed by a nonlinearity."""
 
     matrix: Weights
     rectified: bool = False
@@ -159,16 +159,16 @@ class _Step(NamedTuple):
 
 
 class FusedEncoder:
-    """C psi(x) for one x: what is linear between two nonlinear steps, biases, norms and C too, is one matrix.
+    """C psi(x) for one x, with all linear operations between two nonlinearities fused to one matrix.
 
-    It differs from the encoder by rounding alone.
+    The result differs from the encoder's only by rounding.
 
     Args:
-        encoder: psi, of dense layers and norms.
+        encoder: Encoder psi, with dense layers and norms only.
         projection: C (n, encoder's n); None for the identity.
 
     Raises:
-        KoopmanError: the encoder has something else in it.
+        KoopmanError: The encoder contains other layers.
     """
 
     def __init__(self, encoder: Encoder, projection: Array | None = None) -> None:
@@ -219,5 +219,5 @@ def _affine(weight: ArrayLike, bias: ArrayLike) -> Array:
 
 
 def _float32(matrix: Array) -> Weights:
-    """Return the transpose, rows in order: so a vector times it takes the least time."""
+    """Return the transpose in row-major order, which makes vector products fastest."""
     return np.ascontiguousarray(matrix.T, np.float32)

@@ -14,13 +14,13 @@ Poles = NDArray[np.complex128]
 
 
 def poles(A: Array) -> Poles:
-    """Return the eigenvalues of A (n,), those farthest from the origin first."""
+    """Return the eigenvalues of A (n,), by decreasing modulus."""
     found = np.linalg.eigvals(A).astype(np.complex128)
     return found[np.lexsort((-found.imag, -found.real, -np.abs(found)))]
 
 
 def distances_to_nearest(wanted: Poles, found: Poles) -> Array:
-    """Return how far the nearest found pole lies from each wanted one (wanted,)."""
+    """Return the distance from each given pole to the nearest computed one (wanted,)."""
     return np.asarray(np.abs(wanted[:, None] - found[None, :]).min(axis=1), dtype=np.float64)
 
 
@@ -28,9 +28,9 @@ def jacobian(f: Callable[[Array], Array], x: Array, step: float = 1e-5) -> Array
     """Return df/dx (outputs, inputs) by central differences.
 
     Args:
-        f: Function of many points, from (N, inputs) to (N, outputs).
+        f: Vectorised function from (N, inputs) to (N, outputs).
         x: Point of the derivative (inputs,).
-        step: Difference to either side.
+        step: Step size to either side.
     """
     moves = step * np.eye(len(x))
     return np.asarray((f(x + moves) - f(x - moves)).T / (2.0 * step), dtype=np.float64)
@@ -54,10 +54,10 @@ def linearise(step: Callable[[Array, Array], Array], x: Array, u: Array, size: f
 
 
 def controllability_values(model: LinearModel) -> Array:
-    """Return the singular values of [B, A B, ..., A^(n-1) B] (n,), relative to the largest.
+    """Return the singular values of [B, A B, ..., A^(n-1) B] (n,), relative to the largest one.
 
-    Where A grows, its powers are taken of A over its spectral radius: the columns span the same, and the last ones do
-    not hide the first.
+    If A is unstable, it is divided by its spectral radius: the columns span the same space, and the last ones do not
+    dominate.
     """
     A = model.A / max(1.0, float(np.abs(np.linalg.eigvals(model.A)).max()))
     blocks = [model.B]
@@ -68,14 +68,14 @@ def controllability_values(model: LinearModel) -> Array:
 
 
 def ranks(values: Array, tolerances: Sequence[float]) -> list[int]:
-    """Return how many of the relative singular values lie above each tolerance."""
+    """Return the number of relative singular values above each tolerance."""
     return [int(np.count_nonzero(values > tolerance)) for tolerance in tolerances]
 
 
 def pbh_distances(model: LinearModel) -> Array:
-    """Return how controllable each mode is, in the order of `poles` (n,): the Popov-Belevitch-Hautus test as a number.
+    """Return the controllability of each mode, in the order of `poles` (n,), by the Popov-Belevitch-Hautus test.
 
-    It is the smallest singular value of [p I - A, B] over the largest of [A, B]: 0 for a mode that no control reaches.
+    The measure is the smallest singular value of [p I - A, B] over the largest of [A, B]; 0 for an uncontrollable mode.
     """
     scale = np.linalg.norm(np.hstack((model.A, model.B)), 2)
     unit = np.eye(len(model.A))
@@ -84,7 +84,7 @@ def pbh_distances(model: LinearModel) -> Array:
 
 
 def participation_ratio(variances: Array) -> float:
-    """Return (sum s)^2 / sum s^2 of variances: how many directions would share them evenly, from 1 to n."""
+    """Return (sum s)^2 / sum s^2 of variances, the effective number of directions, from 1 to n."""
     return float(variances.sum() ** 2 / max(float(np.sum(variances**2)), np.finfo(float).tiny))
 
 
@@ -95,16 +95,16 @@ def variances(z: Array) -> Array:
 
 
 def components_for(variances: Array, share: float) -> int:
-    """Return how many of the variances, largest first, hold such a share of their sum."""
+    """Return the number of variances, largest first, that make up a given fraction of their sum."""
     held = np.cumsum(variances) / max(float(variances.sum()), np.finfo(float).tiny)
     return int(np.searchsorted(held, share - 1e-12) + 1)
 
 
 def costs_of(model: LinearModel, K: Array, P: Array) -> tuple[Array, Array]:
-    """Return Q (n, n) and R (m, m) of the infinite-horizon regulator that has gain K and cost-to-go P.
+    """Return the Q (n, n) and R (m, m) for which the infinite-horizon regulator has gain K and cost-to-go P.
 
-    The Riccati equation read backwards: Q = P - A^T P (A - B K), and R K = B^T P (A - B K); R is unique where the rows
-    of K are independent.
+    This inverts the Riccati equation: Q = P - A^T P (A - B K), and R K = B^T P (A - B K); R is unique if the rows of K
+    are independent.
     """
     closed = model.A - model.B @ K
     Q = P - model.A.T @ P @ closed
@@ -113,7 +113,7 @@ def costs_of(model: LinearModel, K: Array, P: Array) -> tuple[Array, Array]:
 
 
 def observation_cost(jacobians: Array, Q: Array) -> Array:
-    """Return E[J^T Q J] (k, k): what the latent cost z^T Q z means as a cost of observations, around those seen.
+    """Return E[J^T Q J] (k, k), the latent cost z^T Q z as a cost of observations around the given ones.
 
     Args:
         jacobians: dz/dx at each of some observations (N, n, k).
@@ -123,15 +123,15 @@ def observation_cost(jacobians: Array, Q: Array) -> Array:
 
 
 def patch_costs(encode: Callable[[Array], Array], image: Array, Q: Array, size: int, fill: float) -> Array:
-    """Return what hiding each patch of an image costs (rows, columns): dz^T Q dz, dz what it changes of z.
+    """Return the cost dz^T Q dz of hiding each patch of an image (rows, columns), with dz the resulting change of z.
 
-    For images: one row of a Jacobian says little about a single pixel, and there are too many of them.
+    Used for images, where Jacobian rows of single pixels are uninformative and too numerous.
 
     Args:
         encode: Function from images (N, channels, height, width) to z (N, n).
         image: (channels, height, width).
         Q: Diagonal of the state cost (n,).
-        size: Rows and columns of a patch; what is left over at the borders is not looked at.
+        size: Rows and columns of a patch; incomplete patches at the borders are ignored.
         fill: Value of the pixels of a hidden patch.
     """
     rows, columns = (length // size for length in image.shape[1:])

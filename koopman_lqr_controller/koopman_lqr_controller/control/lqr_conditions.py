@@ -1,7 +1,7 @@
-"""What a linear quadratic regulator needs of A, B, Q and R: costs that are costs, and modes that are reached and seen.
+"""Conditions of a linear quadratic regulator on A, B, Q and R: valid costs, stabilisable and detectable modes.
 
-A regulator exists where each mode with |pole| >= 1 can be moved by a control (stabilisable) and costs something
-(detectable): the Popov-Belevitch-Hautus tests. All are decided in units that `balancing_units` finds.
+A regulator exists if each mode with |pole| >= 1 is affected by a control (stabilisable) and appears in the cost
+(detectable), by the Popov-Belevitch-Hautus tests. All tests use balanced units, see `Units.balancing`.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from koopman_lqr_controller.arrays import Array, check_arrays, check_size, real_
 from koopman_lqr_controller.errors import KoopmanError
 
 _SYMMETRIC = 1e-8
-"""Asymmetry of a cost that is rounding, relative to its entries."""
+"""Asymmetry of a cost attributed to rounding, relative to its entries."""
 _DEFINITE = 1e-12
-"""Eigenvalue of a cost, its diagonal made 1, that counts as 0."""
+"""Eigenvalue of a cost, scaled to a unit diagonal, that counts as 0."""
 _UNDAMPED = 1.0 - 1e-10
-"""Modulus from which a mode does not fade by itself."""
+"""Modulus from which a mode counts as undamped."""
 _UNREACHED = 1e-15
-"""Distance of [p I - A, B] from losing rank, relative to its size, that is rounding."""
+"""Distance of [p I - A, B] from losing rank, relative to its size, attributed to rounding."""
 
 
 def check_model(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
-    """Return A (n, n) and B (n, m) as float64.
+    """Validate A (n, n) and B (n, m) and return them as float64.
 
     Raises:
-        KoopmanError: other shapes, no state or control, or values that are not finite numbers.
+        KoopmanError: Shapes are invalid, there is no state or control, or values are not finite.
     """
     A, B = real_array("A", A), real_array("B", B)
     if B.ndim != 2 or not B.size:
@@ -38,16 +38,16 @@ def check_model(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 
 
 def check_cost(name: str, weight: ArrayLike, size: int, positive: bool) -> Array:
-    """Return a cost (size, size), made symmetric where only rounding is missing.
+    """Validate a cost (size, size), and symmetrise it if it is asymmetric only by rounding.
 
     Args:
-        name: Name for the message.
-        weight: Cost that was given.
-        size: Rows that it must have.
-        positive: Whether it must be positive definite; else positive semi-definite.
+        name: Name of the cost in messages.
+        weight: Cost matrix.
+        size: Required number of rows.
+        positive: Whether the cost must be positive definite rather than semi-definite.
 
     Raises:
-        KoopmanError: another shape, not finite, not symmetric, or not definite in that way.
+        KoopmanError: The cost has the wrong shape, is not finite, not symmetric, or not definite as required.
     """
     cost = real_array(name, weight)
     if cost.shape == (size,):
@@ -78,12 +78,12 @@ def check_cost(name: str, weight: ArrayLike, size: int, positive: bool) -> Array
 
 
 def check_modes(A: Array, B: Array, Q: Array) -> None:
-    """Refuse a mode that does not fade and that no control moves, or that costs nothing.
+    """Raise if an undamped mode is not affected by any control, or does not appear in the cost.
 
-    A (n, n), B (n, m) and Q (n, n) are in units that balance them.
+    A (n, n), B (n, m) and Q (n, n) are in balanced units.
 
     Raises:
-        KoopmanError: names the mode by its pole and the states that take part in it.
+        KoopmanError: Names the mode by its pole and the states involved.
     """
     poles = np.linalg.eigvals(A)
     undamped = [pole for pole in poles[np.abs(poles) >= _UNDAMPED] if pole.imag >= 0.0]
@@ -119,7 +119,7 @@ def _root(Q: Array) -> Array:
 
 
 def _told(pole: complex, direction: NDArray[np.complex128]) -> str:
-    """Return a mode in words: its pole, and the states that take part most."""
+    """Describe a mode by its pole and the states most involved."""
     part = np.abs(direction)
     states = [str(index) for index in np.argsort(-part)[:4] if part[index] > 0.3 * part.max()]
     number = f"{pole.real:.6g}" if pole.imag == 0.0 else f"{pole.real:.4g} +- {pole.imag:.4g}i"

@@ -16,18 +16,18 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 
 _EXACT = 1e-10
-"""Residual of the Riccati equation in balanced units, relative to P, that rounding alone may leave."""
+"""Residual of the Riccati equation in balanced units, relative to P, attributed to rounding."""
 _BORNE = 1e-6
-"""The same that is still borne: K is then right to about as many digits."""
+"""Maximum tolerated residual, at which K is accurate to about as many digits."""
 
 
 @dataclass(frozen=True)
 class Regulator:
-    """u = -K z, with what proves it.
+    """The law u = -K z, with evidence of its validity.
 
     Attributes:
         K: Gain (m, n).
-        P: cost-to-go z^T P z (n, n).
+        P: Cost-to-go z^T P z (n, n).
         spectral_radius: Largest modulus of the poles of A - B K; below 1.
         residual: Largest entry of the discrete algebraic Riccati equation's residual, relative to that of P.
     """
@@ -41,12 +41,12 @@ class Regulator:
 def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
     """Return the stabilising regulator that minimises sum z^T Q z + u^T R u.
 
-    Q (n, n) is symmetric and positive semi-definite, R (m, m) symmetric and positive definite. Units do not matter:
-    where they are so far apart that rounding spoils the solution, it is found in balanced ones.
+    Q (n, n) is symmetric and positive semi-definite, R (m, m) symmetric and positive definite. The result does not
+    depend on units: if rounding would spoil the solution in the given units, balanced ones are used.
 
     Raises:
-        KoopmanError: a matrix has another shape, is not finite or is no such cost; no control moves a mode that does
-            not fade, or Q leaves one unseen (the message names it); or rounding leaves no solution.
+        KoopmanError: A matrix has the wrong shape, is not finite or is not a valid cost; an undamped mode is not
+            controllable or not in the cost (the message names it); or rounding prevents a solution.
     """
     A, B = check_model(model.A, model.B)
     Q, R = check_cost("Q", Q, len(A), positive=False), check_cost("R", R, B.shape[1], positive=True)
@@ -64,10 +64,10 @@ def solve_lqr(model: LinearModel, Q: Array, R: Array) -> Regulator:
 
 
 def _solution(problem: LqrProblem, balanced: LqrProblem, units: Units) -> Array:
-    """Return the cost-to-go P (n, n), found as the problem is given where that is exact, else in balanced units.
+    """Return the cost-to-go P (n, n), solved in the given units if exact, else in balanced units.
 
     Raises:
-        KoopmanError: there is none, or only an inexact one.
+        KoopmanError: There is no solution, or only an inexact one.
     """
     P = problem.solution()
     left = float("inf") if P is None else balanced.residual(units.cost_to_go(P))
@@ -92,14 +92,14 @@ def _solution(problem: LqrProblem, balanced: LqrProblem, units: Units) -> Array:
 
 
 def finite_horizon(model: LinearModel, Q: Array, R: Array, z_ref: Array, iterations: int) -> tuple[Array, Array, Array]:
-    """Return the first step's law u = k - K z after so many Riccati iterations (thesis Algorithm 1), and P.
+    """Return the first law u = k - K z after a number of Riccati iterations (thesis Algorithm 1), and P.
 
-    It minimises sum (z - z_ref)^T Q (z - z_ref) + u^T R u; k comes from the linear part of the cost-to-go, whose
-    recursion begins with Q z_ref. The diagonals Q (n,) and R (m,) are not negative, and positive. K is (m, n), k (m,),
-    P (n, n).
+    The law minimises sum (z - z_ref)^T Q (z - z_ref) + u^T R u; k comes from the linear part of the cost-to-go, whose
+    recursion starts with Q z_ref. The diagonals Q (n,) are non-negative, and R (m,) positive. K is (m, n), k (m,), P
+    (n, n).
 
     Raises:
-        KoopmanError: the costs of so many steps are beyond the numbers there are.
+        KoopmanError: The costs of this many steps overflow.
     """
     A, B = model.A, model.B
     P, v = np.diag(Q), Q * z_ref

@@ -1,4 +1,4 @@
-"""A linear quadratic problem in units in which its numbers are of like size: rounding then spares none of them."""
+"""Balances the units of a linear quadratic problem, so that its entries have similar size and rounding is harmless."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from scipy.linalg import LinAlgError, LinAlgWarning, solve_discrete_are, solve_d
 from koopman_lqr_controller.arrays import Array
 
 _FARTHEST = 400.0
-"""Largest power of two that a unit may change by."""
+"""Maximum exponent (of two) by which a unit may change."""
 _FREE = 1e-8
-"""Cost of a state over that of the controls below which it costs nothing."""
+"""Cost of a state relative to the controls' below which it counts as free."""
 
 
 @dataclass(frozen=True)
 class LqrProblem:
-    """Minimise sum z^T Q z + u^T R u of z_{k+1} = A z_k + B u_k.
+    """The problem to minimise sum z^T Q z + u^T R u for z_{k+1} = A z_k + B u_k.
 
     Attributes:
         A: State matrix (n, n).
@@ -33,12 +33,12 @@ class LqrProblem:
     R: Array
 
     def gain(self, P: Array) -> Array:
-        """Return K (m, n) of the cost-to-go P (n, n)."""
+        """Return K (m, n) for the cost-to-go P (n, n)."""
         A, B = self.A, self.B
         return np.asarray(np.linalg.solve(self.R + B.T @ P @ B, B.T @ P @ A), dtype=np.float64)
 
     def solution(self) -> Array | None:
-        """Return the stabilising P (n, n) of the Riccati equation; None where rounding leaves none."""
+        """Return the stabilising P (n, n) of the Riccati equation; None if rounding prevents a solution."""
         try:
             solution = solve_discrete_are(self.A, self.B, self.Q, self.R)
             P: Array = np.asarray(0.5 * (solution + solution.T), dtype=np.float64)
@@ -47,13 +47,13 @@ class LqrProblem:
             return None
 
     def _damps(self, K: Array) -> bool:
-        """Whether all poles of A - B K lie inside the unit circle."""
+        """Return whether all poles of A - B K lie inside the unit circle."""
         return bool(np.isfinite(K).all() and np.abs(np.linalg.eigvals(self.A - self.B @ K)).max() < 1.0)
 
     def residual(self, P: Array) -> float:
         """Return the largest entry of the Riccati equation's residual, relative to that of P.
 
-        Where states cost next to nothing beside the controls, it is relative to that.
+        If the cost of states is negligible compared with the controls', the residual is relative to the latter.
         """
         if not np.isfinite(P).all():
             return float("inf")
@@ -62,7 +62,7 @@ class LqrProblem:
         return float(left / size) if np.isfinite(left) else float("inf")
 
     def refined(self, P: Array) -> Array:
-        """Return P after a step of Newton's method (Hewer 1971), where that makes the residual smaller."""
+        """Return P after a step of Newton's method (Hewer 1971), if that reduces the residual."""
         K = self.gain(P)
         try:
             with warnings.catch_warnings():
@@ -76,7 +76,7 @@ class LqrProblem:
 
 @dataclass(frozen=True)
 class Units:
-    """Units d (n,) of states and e (m,) of controls, all powers of two: they round nothing."""
+    """Units d (n,) of states and e (m,) of controls, all powers of two, so that scaling is exact."""
 
     d: Array
     e: Array
@@ -86,8 +86,8 @@ class Units:
         """Return units that bring all entries of a problem near to 1.
 
         They minimise the squared logarithms of the nonzero entries of D^-1 A D, D^-1 B E, and of the roots of the
-        diagonals of D Q D and E R E over one unit of the cost (Curtis and Reid 1972): they go along with any change of
-        units.
+        diagonals of D Q D and E R E over one unit of the cost (Curtis and Reid 1972), which makes the result
+        independent of the given units.
         """
         n, m = problem.B.shape
         links = np.zeros((n + m + 1, n + m + 1))  # from a column to a row; the last node is the cost
@@ -103,7 +103,7 @@ class Units:
         return cls(powers[:n] / powers[-1], powers[n:-1] / powers[-1])
 
     def of(self, problem: LqrProblem) -> LqrProblem:
-        """Return a problem in these units."""
+        """Convert a problem to these units."""
         d, e = self.d, self.e
         A, B = problem.A * d / d[:, None], problem.B * e / d[:, None]
         return LqrProblem(A, B, problem.Q * np.outer(d, d), problem.R * np.outer(e, e))
@@ -113,5 +113,5 @@ class Units:
         return P * np.outer(self.d, self.d)
 
     def back(self, P: Array) -> Array:
-        """Return P (n, n) in the units of the problem that was given."""
+        """Convert P (n, n) back to the units of the given problem."""
         return P / np.outer(self.d, self.d)

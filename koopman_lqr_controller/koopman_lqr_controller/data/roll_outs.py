@@ -1,4 +1,4 @@
-"""Episodes of a policy in any environment: returns, and the data that a model is fitted to."""
+"""Episodes of a policy in any environment: returns, and data for fitting models."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from koopman_lqr_controller.arrays import Array
 
 
 class Policy(Protocol):
-    """Policy from x over features and latent state to u and the action that stands for it."""
+    """A policy that maps x to features, a latent state, u and the action."""
 
     @property
     def encoder(self) -> Callable[[Any], Array]:
-        """Returns the features psi(x)."""
+        """Return the features psi(x)."""
 
     def project(self, z: Array, /) -> Array:
         """Return the latent state of features."""
@@ -26,7 +26,7 @@ class Policy(Protocol):
         """Return u."""
 
     def saturate(self, u: Array, /) -> Array:
-        """Return the action in [-1, 1]."""
+        """Map u to the action in [-1, 1]."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Episode:
 
     Attributes:
         features: psi(x) of each observation, before any projection (T + 1, n).
-        actions: Actions that were done (T, m).
+        actions: Executed actions (T, m).
         total: Undiscounted return of the episode.
         steps: Number of actions, T.
-        saturated: Share of these that the law wanted beyond -1 or 1, over all controls.
-        info: The environment's last word.
-        noise: Standard deviation of what was added to u.
+        saturated: Fraction of the law's outputs beyond -1 or 1, over all controls.
+        info: Info of the last step.
+        noise: Standard deviation of the noise added to u.
     """
 
     features: Array
@@ -53,7 +53,7 @@ class Episode:
 
 
 def projected(project: Callable[[Array], Array], episodes: Sequence[Episode]) -> tuple[list[Array], list[Array]]:
-    """Return the latent states (T + 1, n) and the actions (T, m) of each episode: what models are held against."""
+    """Return latent states (T + 1, n) and actions (T, m) of each episode, for evaluating models."""
     return [project(episode.features) for episode in episodes], [episode.actions for episode in episodes]
 
 
@@ -64,14 +64,14 @@ def roll_out(
     noise: float = 0.0,
     keep: bool = False,
 ) -> Episode:
-    """Return one episode.
+    """Run one episode and return it.
 
     Args:
         controller: Policy that acts.
-        environment: DrivenRobot[Any] to act in.
+        environment: Environment to act in.
         seed: Seed of the episode and of the noise.
-        noise: Standard deviation of what is added to u before saturation: it excites the model.
-        keep: Whether features and actions are wanted; else they are empty.
+        noise: Standard deviation of the noise added to u before saturation, to excite the model.
+        keep: Whether to keep features and actions; otherwise they are empty.
     """
     driver = _LatentDriver(controller, noise, np.random.default_rng(seed))
     (episode,) = drive(environment, driver, seeds=(seed,), keep=keep)
@@ -89,7 +89,7 @@ def roll_out(
 
 
 class _LatentDriver:
-    """A policy as a driver, with noise before saturation, and notes of what it sees and wants."""
+    """A policy as a driver, with noise before saturation, that records its features and outputs."""
 
     def __init__(self, policy: Policy, noise: float, random: np.random.Generator) -> None:
         self._policy, self._noise, self._random = policy, noise, random
@@ -108,7 +108,7 @@ class _LatentDriver:
 def evaluate(
     controller: Policy, environment: DrivenRobot[Any], episodes: int, seed: int, keep: bool = False
 ) -> list[Episode]:
-    """Return the episodes `seed`, `seed` + 1 and so on; features and actions only where they are to `keep`."""
+    """Run the episodes `seed`, `seed` + 1, etc.; features and actions are stored only if `keep`."""
     return [roll_out(controller, environment, seed + episode, keep=keep) for episode in range(episodes)]
 
 
@@ -118,17 +118,17 @@ def mean_return(episodes: Sequence[Episode]) -> float:
 
 
 def saturated(episodes: Sequence[Episode]) -> float:
-    """Return the share of all steps that the law wanted beyond -1 or 1."""
+    """Return the fraction of the law's outputs beyond -1 or 1, over all steps."""
     return float(np.average([each.saturated for each in episodes], weights=[max(1, each.steps) for each in episodes]))
 
 
 def count_interaction(episodes: Sequence[Episode]) -> dict[str, int]:
-    """Return how many episodes and actions these are."""
+    """Return the numbers of episodes and actions."""
     return {"episodes": len(episodes), "actions": sum(episode.steps for episode in episodes)}
 
 
 def outcomes(episodes: Sequence[Episode]) -> dict[str, int]:
-    """Return how many episodes ended which way; nothing where the environment does not say."""
+    """Count the episodes by outcome; empty if the environment reports none."""
     ended = [str(episode.info["outcome"]) for episode in episodes if "outcome" in episode.info]
     return {outcome: ended.count(outcome) for outcome in sorted(set(ended))}
 
@@ -136,5 +136,5 @@ def outcomes(episodes: Sequence[Episode]) -> dict[str, int]:
 def noisy_roll_outs(
     controller: Policy, environment: DrivenRobot[Any], noises: Sequence[float], seed: int
 ) -> list[Episode]:
-    """Return one episode for each noise."""
+    """Run one episode per noise level."""
     return [roll_out(controller, environment, seed + index, noise, keep=True) for index, noise in enumerate(noises)]

@@ -1,4 +1,4 @@
-"""Figures of a policy on recorded drives: prediction errors, and differences of its commands."""
+"""Metrics of a policy on recorded drives: prediction errors, and differences between commands."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _COMMANDS = ("speed [m/s]", "turn rate [rad/s]")
 
 
 def evaluate_policy(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]) -> dict[str, Any]:
-    """Return figures of a policy on drives, as JSON.
+    """Return metrics of a policy on drives, as JSON.
 
     Returns:
-        `steps`; `over_persistence`, the prediction error over that of "nothing changes" after 1, 2, ... steps;
-        `commands`, for each the root mean square difference between the policy's and the recorded one, that of their
-        mean, and the share of the recorded one's variance that the policy explains (1 - squared ratio of the two).
+        `steps`; `over_persistence`, the prediction error relative to persistence after 1, 2, ... steps; `commands`, for
+        each the root mean square difference between the policy's and the recorded command, that of the recorded command
+        from its mean, and the fraction of its variance explained by the policy (1 - squared ratio of the two).
 
     Raises:
-        KoopmanError: there is no step, or the policy is of a task without a lidar.
+        KoopmanError: There are no steps, or the policy's task has no lidar.
     """
     if not segments:
         raise KoopmanError("no steps to evaluate on")
@@ -51,7 +51,7 @@ def evaluate_policy(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]
 
 
 def time_step_mismatch(policy: KoopmanPolicy, segments: Sequence[TrajectorySegment]) -> str:
-    """Return a warning where a policy's model has another time step than drives; empty where none is needed."""
+    """Return a warning if a policy's model and the drives have different time steps; empty otherwise."""
     step = mean_time_step(segments)
     if policy.dt is None or abs(step / policy.dt - 1.0) < STEP_TOLERANCE:
         return ""

@@ -1,4 +1,4 @@
-"""A latent policy refitted to recorded drives: its encoder and law stay, its model and regulator are made anew."""
+"""Refits a latent policy to recorded drives: encoder and law stay, model and regulator are recomputed."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.safety.guards import fit_distribution_to_episodes
 
 SIZES = (4, 8, 16, 1000)
-"""Latent dimensions that are tried; those beyond the encoder's own stand for all of them."""
+"""Latent dimensions to try; larger ones than the encoder's stand for all of its dimensions."""
 _SAME_LAW = 0.1
-"""Mismatch up to which a regulator does what the policy does: 0 for the same law."""
+"""Maximum mismatch at which a regulator counts as equivalent to the policy; 0 for the same law."""
 
 _STAYS = ("task", "task_digest")
-"""Keys of a manifest that a refit keeps; all others are of the former policy."""
+"""Manifest keys kept by a refit; all others describe the former policy."""
 
 
 def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Sequence[int] = SIZES) -> LatentPolicy:
-    """Return the regulator of a model of recorded drives that does what a policy does, with the region they span.
+    """Fit a model to recorded drives and return a regulator equivalent to the policy, with the region of the drives.
 
-    Of the projections whose regulator does the same, the one that predicts best in cross-validation is taken.
+    Among projections with an equivalent regulator, the one with the best cross-validated prediction is chosen.
 
     Args:
-        policy: A latent one that drives from a lidar.
-        segments: x as the policy sees it, and commands.
+        policy: Latent policy of a lidar robot.
+        segments: Segments with the policy's observations x, and commands.
         sizes: Latent dimensions to try.
 
     Raises:
-        KoopmanError: the policy is of another task, the drives are too short, or no model has a regulator.
+        KoopmanError: The policy has another task, the drives are too short, or no model has a regulator.
     """
     learnt = _unprojected(policy.controller)
     if not segments:
@@ -77,27 +77,27 @@ def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Se
 
 
 def _episode(learnt: LatentController, policy: LatentPolicy, segment: TrajectorySegment) -> Episode:
-    """Return a drive as an episode; nobody paid for it."""
+    """Convert a drive to an episode without rewards."""
     actions = policy.to_controls(segment.u)
     none: dict[str, Any] = {}
     return Episode(learnt.encoder(segment.x), actions, float("nan"), len(actions), 0.0, none)
 
 
 def _difference(controller: LatentController, learnt: LatentController, episodes: Sequence[Episode]) -> float:
-    """Return the root mean square of how far the actions of two controllers differ, of spans of 2."""
+    """Return the root mean square difference between the actions of two controllers, which span 2."""
     psi = np.concatenate([episode.features for episode in episodes])
     done, wanted = (each.saturate(each.control(each.project(psi))) for each in (controller, learnt))
     return float(np.sqrt(np.mean((done - wanted) ** 2)))
 
 
 def _mirrored(policy: LatentPolicy, segment: TrajectorySegment) -> TrajectorySegment:
-    """Return a drive as it would have been had left and right been swapped."""
+    """Return a drive with left and right swapped."""
     order, sign = policy.required_interface.observation.mirror
     return TrajectorySegment(segment.x[:, order] * sign, segment.u * (1.0, -1.0), segment.dt)
 
 
 def _unprojected(controller: LatentController) -> LatentController:
-    """Return the same controller with its projection as the encoder's last layer."""
+    """Return the same controller with its projection as the last layer of the encoder."""
     if controller.projection is None:
         return controller
     weight = controller.projection.astype(np.float32)

@@ -1,8 +1,8 @@
-"""Regulators that do what a learnt controller does: one for each latent size and way of reducing it.
+"""Regulators equivalent to a learnt controller, for each latent size and projection family.
 
-Projections C (r, n) have orthonormal rows, z = C psi, in two families. What a law will ask for along a model
-psi_{k+1} = A psi_k + ... depends on psi through K psi, K A psi, K A^2 psi and so on. `observed` keeps the first of
-these, so that the model that is left predicts what the law needs; `principal` keeps what varies most, needed or not.
+Projections C (r, n) have orthonormal rows, z = C psi, in two families. The future outputs of a law under a model
+psi_{k+1} = A psi_k + ... depend on psi through K psi, K A psi, K A^2 psi, etc. `observed` keeps the first of these, so
+that the reduced model predicts what the law needs; `principal` keeps the directions of largest variance, needed or not.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from koopman_lqr_controller.models.edmd import Snapshots
 from koopman_lqr_controller.models.shrinkage import ShrinkageFit, fit_with_shrinkage
 
 _NEW = 1e-6
-"""Part of a row that is not in the span of those before it, below which it adds only rounding."""
+"""Fraction of a row outside the span of the previous rows below which it adds only rounding."""
 
 
 def observed(K: Array, A: Array, size: int) -> Array:
-    """Return the first `size` directions of the rows of K, K A, K A^2, ... (at most size, n), by Arnoldi's process.
+    """Return the first `size` directions of the rows of K, K A, K A^2, ... (at most size, n), by Arnoldi's method.
 
     Args:
         K: Gain (m, n).
         A: State matrix of the model (n, n).
-        size: At most so many; fewer where the rows span no more.
+        size: Maximum number of directions; fewer if the rows span fewer.
     """
     found = np.zeros((0, A.shape[0]))
     rows = list(K)
@@ -47,35 +47,35 @@ def observed(K: Array, A: Array, size: int) -> Array:
 
 
 def principal(deviations: Array, least: float) -> Array:
-    """Return the directions of deviations (N, n), those that vary most first (at most n, n).
+    """Return the directions of deviations (N, n), by decreasing variance (at most n, n).
 
     Args:
         deviations: Deviations from a reference (N, n).
-        least: A direction that varies by less than this part of the first says nothing, and is left out.
+        least: Minimum standard deviation relative to the first direction; others are omitted.
     """
     _, spread, directions = np.linalg.svd(deviations, full_matrices=False)
     return np.ascontiguousarray(directions[spread > least * spread[0]])
 
 
 LARGEST_RESIDUAL = 1e-8
-"""Largest relative residual of the Riccati equation; a regulator above it is refused."""
+"""Maximum relative residual of the Riccati equation of an accepted regulator."""
 _SEEN = 1e-4
-"""Directions of the latent space that vary by less than this part of the first one say nothing but rounding."""
+"""Standard deviation relative to the first direction below which a latent direction is only rounding."""
 _INSIDE = 0.9
-"""Largest action at the reference: the loop is linear around it."""
+"""Maximum action at the reference, so that the loop is linear around it."""
 _LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
 class RegulatorCandidate:
-    """Regulator of one projection.
+    """A regulator for one projection.
 
     Attributes:
-        controller: Controller with the infinite horizon.
-        family: Family of its projection: "observed" or "principal".
-        mismatch: Remaining difference to the law: 0 for the same, 1 for a regulator that does nothing.
-        contraction: Factor on the refitted A; 1 where A has a regulator as it is.
-        shrunk: Fit of its model.
+        controller: Infinite-horizon controller.
+        family: Family of the projection: "observed" or "principal".
+        mismatch: Remaining mismatch to the law: 0 for the same law, 1 for K = 0.
+        contraction: Factor applied to the refitted A; 1 if A itself has a regulator.
+        shrunk: Fit of the model.
     """
 
     controller: LatentController
@@ -86,15 +86,15 @@ class RegulatorCandidate:
 
 
 def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tuple[Array, Array]:
-    """Return a reference of the law u = u_ref - K (z - z_ref) and its action there, which actions can be.
+    """Return a reference of the law u = u_ref - K (z - z_ref) with an admissible action, and that action.
 
-    Where u_ref is beyond them the reference moves: to the nearest z, by the spread of what is met, that has such a u.
+    If u_ref is inadmissible, the reference is moved to the nearest z, in the metric of `spread`, with an admissible u.
 
     Args:
         z_ref: Reference of z (n,).
-        u_ref: Control that the law asks for at the reference (m,).
+        u_ref: Output of the law at the reference (m,).
         K: Gain (m, n).
-        spread: Covariance of the latents that are met (n, n).
+        spread: Covariance of the observed latents (n, n).
     """
     a_ref = np.clip(u_ref, -_INSIDE, _INSIDE)
     along = spread @ K.T
@@ -102,19 +102,19 @@ def reference_inside(z_ref: Array, u_ref: Array, K: Array, spread: Array) -> tup
 
 
 class RegulatorFitter:
-    """Regulators fitted to recorded drives: a learnt controller's law as data, and models of projections of psi.
+    """Fits regulators to recorded drives, with a learnt controller's law as data and models of projections of psi.
 
-    The models are shrunk towards "nothing changes": drives are short.
+    The models are shrunk towards persistence, because drives are short.
 
     Args:
         learnt: Learnt controller, with a finite horizon.
         episodes: Recorded drives as episodes.
-        mirrored: The same with left and right swapped, as true as they are.
-        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
+        mirrored: The same drives with left and right swapped, equally valid.
+        goal: Whether z_ref is a goal; otherwise the mean of the observed latents is used.
 
     Attributes:
         learnt: Learnt controller, with a finite horizon.
-        directions: Directions in which psi varies, the strongest first (r, n).
+        directions: Directions of variation of psi, by decreasing variance (r, n).
     """
 
     def __init__(
@@ -131,14 +131,14 @@ class RegulatorFitter:
         self._A = self.shrunk(self.directions).model.A
 
     def _reference(self, goal: bool) -> tuple[Array, Array]:
-        """Return the goal, or the weighted mean of the latents that are met, and an action that holds it."""
+        """Return the goal, or the weighted mean of the observed latents, and an action that holds it."""
         learnt = self.learnt
         psi_ref = learnt.z_ref if goal else np.average(self._psi, axis=0, weights=self._weight)
         spread = np.cov(self._psi.T, aweights=self._weight)
         return reference_inside(psi_ref, learnt.control(psi_ref), learnt.K, spread)
 
     def shrunk(self, C: Array) -> ShrinkageFit:
-        """Return the model of C psi and the action around the reference, and how it was chosen."""
+        """Return the model of C psi and the action around the reference, with details of the fit."""
         twin = self._snapshots(C, self._mirrored) if self._mirrored else None
         return fit_with_shrinkage(self._snapshots(C, self._episodes), twin, lifted=True)
 
@@ -149,9 +149,9 @@ class RegulatorFitter:
         return Snapshots(np.concatenate([each[:-1] for each in z]), u, np.concatenate([each[1:] for each in z]))
 
     def projections(self, sizes: Sequence[int]) -> Iterator[tuple[str, Array]]:
-        """Yield families and projections, what the law needs before what varies, small ones before large ones.
+        """Yield projections with their families, `observed` before `principal`, by increasing size.
 
-        Sizes beyond what varies stand for all of it.
+        Sizes beyond the number of varying directions mean all of them.
         """
         n = len(self.directions)
         wanted = sorted({min(size, n) for size in sizes})
@@ -164,10 +164,10 @@ class RegulatorFitter:
             yield "principal", self.directions[:size]
 
     def regulator(self, family: str, C: Array) -> RegulatorCandidate | None:
-        """Return the regulator for a projection; None where the model has none.
+        """Return the regulator for a projection, or None if the model has none.
 
-        What a weak policy never moves cannot be regulated, and need not be: where the refitted model has no regulator,
-        one whose modes all fade is taken instead, and `contraction` says so.
+        Directions that a weak policy never moves cannot and need not be regulated: if the refitted model has no
+        regulator, a contracted model with stable modes is used instead, as stated in `contraction`.
         """
         shrunk, z_ref = self.shrunk(C), C @ self._psi_ref
         model, drift = shrunk.model, shrunk.drift

@@ -25,10 +25,10 @@ _COMMANDS = ("the commanded speed", "the commanded turn rate")
 
 @dataclass(frozen=True)
 class Weights:
-    """The quadratic cost, chosen by hand: the step that task-oriented learning replaces.
+    """Hand-tuned quadratic cost, the step that task-oriented learning replaces.
 
     Attributes:
-        side: Weight on being off the middle.
+        side: Weight on the lateral offset.
         ahead: Weight on facing a wall.
         speed: Weight on the squared speed error [s^2/m^2].
         acceleration: Weight on the squared deviation of the commanded speed [s^2/m^2].
@@ -52,21 +52,21 @@ def train(
     manifest: dict[str, Any] | None = None,
     shrunk: bool = False,
 ) -> EdmdPolicy:
-    """Fit model and regulator and return the policy, with its figures in the manifest.
+    """Fit model and regulator and return the policy, with metrics in its manifest.
 
     Args:
-        sequences: Snapshots of one or more drives; their last part measures the model and is not fitted.
+        sequences: Snapshots of one or more drives; the last part is held out for evaluating the model.
         observables: Observables Psi of a scan and odometry.
-        speed: To drive at [m/s].
+        speed: Driving speed [m/s].
         limits: Limits of the speed [m/s] and the turn rate [rad/s].
-        weights: Weights of the cost; the defaults where left out.
-        held_out: Part of the snapshots that is kept for the measure, 0 <= held_out < 1.
-        manifest: More to be kept in the policy.
-        shrunk: Whether the model is shrunk towards "nothing changes", for little and noisy data.
+        weights: Weights of the cost; the default ones if omitted.
+        held_out: Fraction of the snapshots held out for the evaluation, 0 <= held_out < 1.
+        manifest: Further content of the policy's manifest.
+        shrunk: Whether the model is shrunk towards persistence, for scarce and noisy data.
 
     Raises:
-        KoopmanError: the speed is beyond the limits, too little data or none that tells what the commands do, or no
-            stabilising regulator.
+        KoopmanError: The speed exceeds the limits, the data is insufficient to identify the effect of the commands, or
+            there is no stabilising regulator.
     """
     if not limits[0].low <= speed <= limits[0].high:
         raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
@@ -131,7 +131,7 @@ def train(
 
 
 def _split(data: Snapshots, held_out: float) -> tuple[Snapshots, Snapshots]:
-    """Cut off the last part; where nothing is held out the measure is on what was fitted."""
+    """Split off the last part; if nothing is held out, the evaluation uses the fitted data."""
     cut = len(data) - round(held_out * len(data))
     if cut == len(data):
         return data, data

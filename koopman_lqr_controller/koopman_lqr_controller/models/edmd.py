@@ -18,13 +18,13 @@ from koopman_lqr_controller.models.identifiability import (
 from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares, sizes
 
 _FADING = 0.999
-"""Largest modulus of a model that was contracted."""
+"""Maximum modulus of a contracted model's poles."""
 BEYOND_NOISE = 3.0
-"""Standard errors beyond which what a ridge does to a coefficient is a bias, and no cure of noise."""
+"""Number of standard errors beyond which a ridge's change of a coefficient is a bias rather than noise reduction."""
 _FEW = 0.01
-"""Standard error over the size of all coefficients that is borne where hardly more rows than unknowns tell it."""
+"""Tolerated ratio of standard error to coefficient size with hardly more rows than unknowns."""
 BEARABLE = 0.5
-"""Part of a control's effect that a ridge may hide: an LQR stays stable from half of its gain on."""
+"""Fraction of a control's effect that a ridge may hide, since an LQR stays stable with half of its gain."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Snapshots:
 
     Attributes:
         z: Psi(x_k) (N, n).
-        u: Controls held from k to k + 1 (N, m).
+        u: Controls held between k and k + 1 (N, m).
         z_next: Psi(x_{k+1}) (N, n).
     """
 
@@ -50,7 +50,7 @@ class Snapshots:
         )
 
     def mirrored(self, z_sign: Array, u_sign: Array) -> Snapshots:
-        """Return what would have been seen had left and right been swapped."""
+        """Return the snapshots with left and right swapped."""
         return Snapshots(self.z * z_sign, self.u * u_sign, self.z_next * z_sign)
 
     def centred(self, z_ref: Array, u_ref: Array) -> Snapshots:
@@ -75,7 +75,7 @@ class LinearModel:
         return z @ self.A.T + u @ self.B.T
 
     def contracted(self) -> tuple[float, LinearModel]:
-        """Return a factor, and the same with A times it, so that all modes fade; 1 where they do already."""
+        """Return a factor and the model with A times that factor, so that all modes are stable; 1 if already so."""
         radius = float(np.abs(np.linalg.eigvals(self.A)).max())
         factor = _FADING / radius if radius > _FADING else 1.0
         return factor, LinearModel(np.ascontiguousarray(factor * self.A), self.B)
@@ -86,24 +86,24 @@ class LinearModel:
 
 
 def persistence_error(data: Snapshots) -> Array:
-    """Return the one-step error of "nothing changes" (n,): what any model must beat."""
+    """Return the one-step error of persistence (n,), the baseline of any model."""
     return np.sqrt(np.mean((data.z_next - data.z) ** 2, axis=0))
 
 
 def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> LinearModel:
     """Return the least-squares model, K = G^+ M of Eq. 2.34 with Psi(x, u) = [Psi(x), u].
 
-    The model has no drift: z and u are deviations from a fixed point, or z holds the constant 1. The ridge is there for
-    noise. Where it would move the coefficients by more than noise can, as with data of a simulation, it stays out.
+    The model has no drift: z and u are deviations from a fixed point, or z contains the constant 1. The ridge reduces
+    noise; if it would change the coefficients by more than noise can, as with simulated data, it is omitted.
 
     Args:
         data: Snapshots, at least n + m + 2 unless observables repeat each other.
-        regularisation: Ridge relative to each regressor's variance; 0 is Eq. 2.34 to the letter.
-        lifted: Whether z are functions that may be constant, repeat each other and leave a rest that is no noise: A is
-            then the smallest that predicts as well, and the ridge is always there.
+        regularisation: Ridge relative to each regressor's variance; 0 is exactly Eq. 2.34.
+        lifted: Whether z are lifting functions, which may be constant or redundant and leave a deterministic residual:
+            A is then the minimum-norm solution, and the ridge is always applied.
 
     Raises:
-        KoopmanError: the data are not finite numbers of fitting shapes, or do not tell A and B; it names the columns.
+        KoopmanError: The data is not finite, has inconsistent shapes, or does not identify A and B; names the columns.
     """
     if not (np.isfinite(regularisation) and regularisation >= 0.0):
         raise KoopmanError(f"the regularisation is {regularisation}: must be a number from 0 on")
@@ -138,7 +138,7 @@ def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> 
 
 
 def _check_enough(errors: Array, W: Array, data: RegressionData) -> None:
-    """Refuse hardly more rows than unknowns where noise decides the coefficients: their errors are then a guess too."""
+    """Raise if there are hardly more rows than unknowns and noise dominates, which makes even errors unreliable."""
     few = len(data.z) < 2 * len(W)
     if few and np.linalg.norm(row_sizes(errors, data.z_next)) > _FEW * np.linalg.norm(row_sizes(W, data.z_next)):
         raise KoopmanError(
@@ -148,5 +148,5 @@ def _check_enough(errors: Array, W: Array, data: RegressionData) -> None:
 
 
 def row_sizes(W: Array, Y: Array) -> Array:
-    """Return the size of the coefficients of each regressor (p,), outputs in units of their own size."""
+    """Return the size of the coefficients of each regressor (p,), with outputs in units of their own size."""
     return np.asarray(np.linalg.norm(W / sizes(Y), axis=1), dtype=np.float64)

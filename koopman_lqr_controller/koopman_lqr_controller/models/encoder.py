@@ -1,4 +1,4 @@
-"""The embedding psi(x) = z of thesis 4.2.2 as it runs on the robot: a small network, NumPy only."""
+"""The embedding psi(x) = z of thesis 4.2.2, as run on the robot: a small network, NumPy only."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Weights = NDArray[np.float32]
 
 _MOST_PRODUCTS = 10_000_000_000
 EPSILON = np.float32(1e-5)
-"""Added to the variance by `LayerNorm`."""
+"""Term added to the variance in `LayerNorm`."""
 
 
 class Layer(Protocol):
-    """One step of the network, for inputs of any number of leading dimensions."""
+    """One layer of the network, for inputs with any number of leading dimensions."""
 
     def __call__(self, x: Weights) -> Weights:
         """Return the outputs."""
@@ -30,12 +30,12 @@ class Layer(Protocol):
 
 @dataclass(frozen=True)
 class Dense:
-    """W x + b, with what is negative cut off where `rectified`.
+    """W x + b, followed by a ReLU if `rectified`.
 
     Attributes:
         weight: Weights of the layer (out, in).
         bias: Bias of each output (out,).
-        rectified: Whether a ReLU follows.
+        rectified: Whether to apply a ReLU.
     """
 
     NAME: ClassVar[str] = "dense"
@@ -52,7 +52,7 @@ class Dense:
 
 @dataclass(frozen=True)
 class Convolution:
-    """A convolution without padding and its ReLU; its outputs keep the image's rows and columns.
+    """A convolution without padding, followed by a ReLU; outputs keep the image layout.
 
     Attributes:
         weight: Weights of the filters (out, in, k, k).
@@ -75,24 +75,24 @@ class Convolution:
 
 @dataclass(frozen=True)
 class CentreCrop:
-    """The middle of an image.
+    """Crops an image to its centre.
 
     Attributes:
-        size: Rows and columns that are left.
+        size: Number of remaining rows and columns.
     """
 
     NAME: ClassVar[str] = "centre_crop"
     size: int
 
     def __call__(self, x: Weights) -> Weights:
-        """Return (..., size, size) of images (..., height, width)."""
+        """Return the centre (..., size, size) of images (..., height, width)."""
         top, left = ((length - self.size) // 2 for length in x.shape[-2:])
         return x[..., top : top + self.size, left : left + self.size]
 
 
 @dataclass(frozen=True)
 class Flatten:
-    """Images (channels, rows, columns) to vectors."""
+    """Flattens images (channels, rows, columns) to vectors."""
 
     NAME: ClassVar[str] = "flatten"
 
@@ -103,18 +103,18 @@ class Flatten:
 
 @dataclass(frozen=True)
 class Rectifier:
-    """What is negative cut off: a ReLU behind a layer that has none of its own."""
+    """A ReLU for a layer without its own."""
 
     NAME: ClassVar[str] = "rectifier"
 
     def __call__(self, x: Weights) -> Weights:
-        """Return the outputs, as many."""
+        """Return the outputs, in the input's shape."""
         return np.maximum(x, np.float32(0.0))
 
 
 @dataclass(frozen=True)
 class LayerNorm:
-    """Brings a vector to mean 0 and variance 1 over its entries, then scales and shifts each of them.
+    """Normalises a vector to mean 0 and variance 1 over its entries, then scales and shifts each entry.
 
     Attributes:
         weight: Scale of each entry (n,).
@@ -142,14 +142,14 @@ _KINDS: tuple[Any, ...] = (Dense, Convolution, CentreCrop, Flatten, Rectifier, L
 
 @dataclass(frozen=True)
 class Encoder:
-    """psi(x): normalise, then one layer after the other.
+    """psi(x): normalisation, then one layer after the other.
 
     Attributes:
-        layers: Layers in their order; the last gives z.
+        layers: Layers in order; the last gives z.
         shape: Shape of one observation.
-        middle: Value of the observation that becomes 0, in its units; broadcasts to `shape`.
-        unit: Distance above the middle that becomes 1.
-        inclusive: Whether the normalised observation, a vector, comes first in z and the layers' outputs after it.
+        middle: Value of the observation that maps to 0, in its units; broadcasts to `shape`.
+        unit: Distance from `middle` that maps to 1.
+        inclusive: Whether z starts with the normalised (vector) observation, followed by the layers' outputs.
     """
 
     layers: Sequence[Layer]
@@ -170,7 +170,7 @@ class Encoder:
         """Return z (n,) or (N, n) for one observation (*shape) or many (N, *shape).
 
         Raises:
-            KoopmanError: the observation has another shape.
+            KoopmanError: The observation has the wrong shape.
         """
         given = np.asarray(x, dtype=np.float32)
         if given.shape[-len(self.shape) :] != self.shape:
@@ -184,11 +184,11 @@ class Encoder:
         return y.astype(np.float64)
 
     def followed_by(self, layers: Sequence[Layer]) -> Encoder:
-        """Return it with more layers."""
+        """Return the encoder with additional layers."""
         return replace(self, layers=(*self.layers, *layers))
 
     def describe(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return what `build` makes it from again: JSON and tensors."""
+        """Return JSON and tensors from which `build` recreates the encoder."""
         layers: list[dict[str, Any]] = []
         tensors: dict[str, NDArray[Any]] = {"encoder.middle": self.middle, "encoder.unit": self.unit}
         for index, layer in enumerate(self.layers):
@@ -201,10 +201,10 @@ class Encoder:
 
     @classmethod
     def build(cls, description: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> Encoder:
-        """Return the encoder that `describe` described.
+        """Recreate the encoder from the output of `describe`.
 
         Raises:
-            KoopmanError: it is not of this form; the message says where.
+            KoopmanError: The description is invalid; the message gives the location.
         """
         kinds = {kind.NAME: kind for kind in _KINDS}
         layers = []

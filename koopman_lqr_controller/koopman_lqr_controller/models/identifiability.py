@@ -1,9 +1,8 @@
-"""What recorded data tell of z_{k+1} = A z_k + B u_k, and what they cannot: one set of checks, before any fit.
+"""Identifiability of z_{k+1} = A z_k + B u_k from recorded data: checks before any fit.
 
-All of it is decided in columns around their means over their spreads, so that neither units nor an offset matter. The
-controls are judged by what is left of them once the state and a constant are taken away (Frisch-Waugh-Lovell): a model
-can owe to a control only what the control does on its own (Proctor, Brunton, Kutz 2016: A and B are told apart only
-where the controls are no function of the state).
+All checks use standardised columns, so that neither units nor offsets matter. The controls are assessed by their
+residual after regression on the state and a constant (Frisch-Waugh-Lovell), because only this part identifies B
+(Proctor, Brunton, Kutz 2016: A and B are distinguishable only if the controls are not a function of the state).
 """
 
 from __future__ import annotations
@@ -19,36 +18,35 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.least_squares import EPS, Deviations, LeastSquares, compressed, sizes
 
 _STILL = 1e-9
-"""Spread of a control over its size below which it does not move: of 16 digits fewer than 7 are left of the motion."""
+"""Ratio of a control's spread to its size below which it counts as constant: less than 7 of 16 digits remain."""
 _ON_ITS_OWN = 1e-8
-"""Part of a control that is its own below which B would be rounding: no command is known to 8 digits, nor is A."""
+"""Independent fraction of a control below which B is only rounding, since no command or A is known to 8 digits."""
 _WEAK = 0.1
-"""Part of a control that is its own below which noise can take its place, so that noise is asked for."""
+"""Independent fraction of a control below which noise may replace it, so that the noise is checked."""
 _KNOWN = 5.0
-"""Effect of a weak control over its standard error that is asked for.
+"""Required ratio of a weak control's effect to its standard error.
 
-B is then wrong by a factor of 0.6 to 1.4 at two standard errors. An LQR stays stable from half of its gain on, so this
-is what a regulator bears.
-"""
+B is then wrong by a factor of 0.6 to 1.4 at two standard errors. An LQR stays stable with half of its gain, so a
+regulator tolerates this."""
 _DRIFT = 0.05
-"""Part of A and B that a constant may change: less is what a linear model of a bent system misses anyway."""
+"""Fraction of A and B that a constant may change; smaller changes are within the error of a linear model anyway."""
 _EXPLAINED = 0.1
-"""Part of the error that is left where a constant explains it: then it is no bend."""
+"""Remaining fraction of the error if a constant explains it, as opposed to a nonlinearity."""
 _NAMED = 6
-"""Columns that a message names; of more it gives the number."""
+"""Maximum number of columns named in a message; beyond, their number is given."""
 _ROUNDED = 1e3
-"""Rounding errors of data that may add up."""
+"""Number of rounding errors of the data that may add up."""
 
 
 @dataclass(frozen=True)
 class RegressionData:
-    """Snapshots whose shapes and values were checked.
+    """Snapshots with validated shapes and values.
 
     Attributes:
         z: States (N, n).
         u: Controls (N, m).
         z_next: Next states (N, n).
-        eps: Precision of their numbers: that of the coarsest type.
+        eps: Precision of the data: that of the coarsest type.
     """
 
     z: Array
@@ -58,10 +56,10 @@ class RegressionData:
 
     @classmethod
     def of(cls, z: ArrayLike, u: ArrayLike, z_next: ArrayLike) -> RegressionData:
-        """Return the data as float64.
+        """Convert the data to float64.
 
         Raises:
-            KoopmanError: other shapes than (N, n), (N, m) and (N, n), no rows, or values that are not finite numbers.
+            KoopmanError: The shapes are not (N, n), (N, m) and (N, n), there are no rows, or values are not finite.
         """
         arrays = {name: real_array(name, values) for name, values in (("z", z), ("u", u), ("z_next", z_next))}
         for name, array in arrays.items():
@@ -87,10 +85,10 @@ class RegressionData:
         return self.z.shape[1], self.u.shape[1]
 
     def check_like(self, other: RegressionData) -> None:
-        """Refuse data of other shapes than some others.
+        """Raise if the data have other numbers of states or controls than some other data.
 
         Raises:
-            KoopmanError: tells both.
+            KoopmanError: Gives both shapes.
         """
         for name, mine, given in (("z", self.z, other.z), ("u", self.u, other.u)):
             if mine.shape != given.shape:
@@ -100,7 +98,7 @@ class RegressionData:
 
 
 def _precision(values: ArrayLike) -> float:
-    """Return the relative rounding of some numbers: that of their type where it is a coarser one than float64."""
+    """Return the relative rounding of an array: that of its type if coarser than float64."""
     kind = np.asarray(values).dtype
     return max(float(np.finfo(kind).eps), EPS) if kind.kind == "f" else EPS
 
@@ -116,14 +114,14 @@ def _check_finite(name: str, array: Array) -> None:
 
 
 def check_controls_move(u: Array, names: Sequence[str] = ()) -> None:
-    """Refuse controls (N, m) that stand still, or move together.
+    """Raise if controls (N, m) are constant or move together.
 
     Args:
-        u: Controls as they were recorded (N, m).
-        names: Names of the controls for the message (m,); "control 0" and so on unless given.
+        u: Recorded controls (N, m).
+        names: Names of the controls in messages (m,); "control 0" etc. by default.
 
     Raises:
-        KoopmanError: names the controls, or a value that is not finite.
+        KoopmanError: Names the controls, or a value that is not finite.
     """
     _check_finite("u", u)
     names = names or [f"control {index}" for index in range(u.shape[1])]
@@ -144,15 +142,15 @@ def check_controls_move(u: Array, names: Sequence[str] = ()) -> None:
 
 
 def check_controls_told(data: RegressionData, lifted: bool) -> None:
-    """Refuse data from which B cannot be told, however A is chosen.
+    """Raise if B cannot be identified from the data, regardless of A.
 
     Args:
-        data: Snapshots that were checked.
-        lifted: Whether z holds many functions that nearly repeat each other, or noise: what they miss is then no noise
-            of the state, and counts only beside controls of which little is their own.
+        data: Validated snapshots.
+        lifted: Whether z consists of many nearly redundant functions, or noise: their residual is then not noise of the
+            state, and counts only for controls with a small independent part.
 
     Raises:
-        KoopmanError: names the controls and says what to record.
+        KoopmanError: Names the controls and the data to record.
     """
     N, m = data.u.shape
     if m == 0:
@@ -184,16 +182,16 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
 
 
 def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Array, lifted: bool) -> None:
-    """Refuse a control whose own part noise hides or could have made.
+    """Raise if noise hides or could have caused the independent part of a control.
 
-    All columns are deviations over their spreads, in any orthonormal coordinates of the rows.
+    All columns are standardised deviations, in any orthonormal coordinates of the rows.
 
     Args:
         index: Index of the control.
         z: States, of unit length (rows, n).
         u: Controls, of unit length (rows, m).
-        z_next: Next states, of the length that as many unit spreads have (rows, n).
-        noise: Part of each next state's spread that a linear model misses (n,).
+        z_next: Next states, scaled to unit spread (rows, n).
+        noise: Fraction of each next state's spread not explained by a linear model (n,).
         lifted: As in `check_controls_told`.
     """
     others = np.hstack((z, np.delete(u, index, axis=1)))
@@ -212,10 +210,10 @@ def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Ar
 
 
 def check_rows(data: RegressionData) -> None:
-    """Refuse as few rows as unknowns or fewer.
+    """Raise if there are not more rows than unknowns.
 
     Raises:
-        KoopmanError: says how many there must be.
+        KoopmanError: Gives the required number.
     """
     least = data.z.shape[1] + data.u.shape[1] + 2
     if len(data.z) < least:
@@ -226,10 +224,10 @@ def check_rows(data: RegressionData) -> None:
 
 
 def check_states_told(data: RegressionData) -> None:
-    """Refuse states that are zero or that repeat each other: A is not unique then.
+    """Raise if states are zero or linearly dependent, so that A is not unique.
 
     Raises:
-        KoopmanError: names the states.
+        KoopmanError: Names the states.
     """
     names = [f"state {index}" for index in range(data.z.shape[1])]
     for index in map(int, np.flatnonzero(~data.z.any(axis=0))):
@@ -246,14 +244,14 @@ def check_states_told(data: RegressionData) -> None:
 
 
 def check_no_drift(data: RegressionData, W: Array) -> None:
-    """Refuse data that a constant explains much better: A and B of a model without a drift would bend to stand for it.
+    """Raise if a constant explains the data much better, since A and B of a model without drift would be biased.
 
     Args:
-        data: Snapshots that were checked.
+        data: Validated snapshots.
         W: Least-squares coefficients without a constant (n + m, n).
 
     Raises:
-        KoopmanError: says what to take away.
+        KoopmanError: Gives the reference to subtract.
     """
     X = np.hstack((data.z, data.u))
     with_constant = np.hstack((X, np.ones((len(X), 1))))
@@ -282,14 +280,14 @@ def _orthonormal(values: Array) -> Array:
 
 
 def _without(values: Array, span: Array) -> Array:
-    """Return what is left of columns outside an orthonormal span; twice, against rounding."""
+    """Return the part of columns outside an orthonormal span; computed twice to reduce rounding."""
     for _ in range(2):
         values = values - span @ (span.T @ values)
     return values
 
 
 def _named(weights: Array, names: Sequence[str]) -> str:
-    """Return the names of the columns that take part in a combination."""
+    """Return the names of the columns involved in a combination."""
     part = np.abs(weights)
     taking = [names[index] for index in map(int, np.flatnonzero(part > 0.1 * part.max()))]
     more = len(taking) - _NAMED

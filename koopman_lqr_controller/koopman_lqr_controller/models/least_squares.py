@@ -1,4 +1,4 @@
-"""Linear least squares in which units do not matter: columns are brought to like size before anything is decided."""
+"""Unit-independent linear least squares: columns are scaled to similar size before any decision."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from koopman_lqr_controller.arrays import Array
 
 EPS = float(np.finfo(np.float64).eps)
 _RANK = 16.0 * EPS
-"""Share of the largest singular value, times the root of the rows, below which a combination is rounding."""
+"""Fraction of the largest singular value, times the root of the row count, below which a combination is rounding."""
 _CONSTANT = 1e-13
-"""Spread over size below which a column differs from its mean by rounding alone."""
+"""Ratio of spread to size below which a column differs from its mean only by rounding."""
 
 
 def sizes(X: Array) -> Array:
-    """Return the root mean square of each column (p,); 1 where a column is zero."""
+    """Return the root mean square of each column (p,); 1 for zero columns."""
     largest = np.abs(X).max(axis=0, initial=0.0)
     largest = np.where(largest > 0.0, largest, 1.0)
     return np.asarray(largest * np.maximum(np.sqrt(np.mean((X / largest) ** 2, axis=0)), EPS), dtype=np.float64)
@@ -25,12 +25,12 @@ def sizes(X: Array) -> Array:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Columns around their means, over their spreads.
+    """Standardised columns: deviations from the mean, divided by the spread.
 
     Attributes:
-        values: Columns of unit length (N, p); zeros where a column is constant.
-        spread: Standard deviation of each column (p,); 0 where it is constant.
-        rounding: Largest share of a spread that is the rounding of its column.
+        values: Columns of unit length (N, p); zeros for constant columns.
+        spread: Standard deviation of each column (p,); 0 for constant columns.
+        rounding: Maximum ratio of a column's rounding to its spread.
     """
 
     values: Array
@@ -39,7 +39,7 @@ class Deviations:
 
     @classmethod
     def of(cls, X: Array, eps: float = EPS) -> Deviations:
-        """Return those of columns (N, p) whose numbers have the precision `eps`."""
+        """Standardise columns (N, p) of precision `eps`."""
         size = sizes(X)
         around = X / size
         around = around - around.mean(axis=0)
@@ -55,14 +55,14 @@ class Deviations:
 class LeastSquares:
     """Least squares of columns X (N, p) for any ridge, from one singular value decomposition of the scaled columns.
 
-    Where columns repeat each other the solution is the smallest in these scaled coordinates.
+    For dependent columns, the solution has minimum norm in the scaled coordinates.
 
     Args:
         X: Regressors (N, p).
 
     Attributes:
         size: Root mean square of each column (p,).
-        null: Combinations of the scaled columns that are zero throughout (p, those).
+        null: Combinations of the scaled columns that vanish (p, number of combinations).
     """
 
     def __init__(self, X: Array) -> None:
@@ -81,7 +81,7 @@ class LeastSquares:
         self.null = np.asarray(Vt[rank:].T, dtype=np.float64)
 
     def ridged(self, weight: Array) -> LeastSquares:
-        """Return the same with a ridge of such a weight on each scaled column (p,)."""
+        """Return the problem with a ridge of this weight on each scaled column (p,)."""
         problem = copy(self)
         problem._decompose(np.vstack((self._R, np.diag(weight))), len(self._Q))
         return problem
@@ -94,11 +94,11 @@ class LeastSquares:
     def standard_errors(self, missed: Array, rounding: Array | float) -> Array:
         """Return the standard error of each coefficient (p, q), in the units of X and Y.
 
-        They are infinite for columns that repeat others.
+        Errors are infinite for dependent columns.
 
         Args:
-            missed: Y - X W (N, q).
-            rounding: Rounding of Y's columns (q,): they are not known better.
+            missed: Residual Y - X W (N, q).
+            rounding: Rounding errors of Y's columns (q,), a lower bound of their uncertainty.
         """
         spare = max(len(missed) - len(self._s), 1)
         noise = np.maximum(sizes(missed) * missed.any(axis=0) * np.sqrt(len(missed) / spare), rounding)
@@ -108,7 +108,7 @@ class LeastSquares:
 
 
 def compressed(*blocks: Array) -> list[Array]:
-    """Return columns with the same inner products as those of some blocks, with no more rows than columns in all."""
+    """Return columns with the same inner products as the given blocks, and at most as many rows as total columns."""
     joined = np.hstack(blocks)
     if len(joined) > joined.shape[1]:
         joined = np.asarray(np.linalg.qr(joined, mode="r"), dtype=np.float64)

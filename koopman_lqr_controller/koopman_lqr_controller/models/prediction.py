@@ -1,7 +1,7 @@
-"""Prediction errors of a model over those of "nothing changes", and lower bounds of them.
+"""Prediction errors of a model relative to persistence, and their lower bounds.
 
-`predict` returns the next z (N, n) of z (N, n) and actions (N, m); `z` are the latents of each episode (T + 1, n), and
-`actions` those that were done in it (T, m).
+`predict` returns the next z (N, n) for z (N, n) and actions (N, m); `z` are the latents of each episode (T + 1, n), and
+`actions` the executed actions (T, m).
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from koopman_lqr_controller.models.least_squares import LeastSquares
 Predict = Callable[[Array, Array], Array]
 
 HORIZON = 10
-"""Steps that a model's error is told for."""
+"""Number of steps for which a model's error is reported."""
 
 
 def squared_error(predict: Predict, z: Sequence[Array], actions: Sequence[Array]) -> float:
-    """Return the mean squared error of one step, over all components: the thesis's model error."""
+    """Return the mean squared one-step error over all components, the thesis's model error."""
     missed = [here[1:] - predict(here[:-1], done) for here, done in zip(z, actions, strict=True)]
     return float(np.mean(np.concatenate(missed) ** 2))
 
 
 def horizon_errors(predict: Predict, z: Sequence[Array], actions: Sequence[Array], steps: int) -> list[float]:
-    """Return the error over that of persistence after 1, 2, ... `steps` steps, over all components.
+    """Return the error relative to persistence after 1, 2, ... `steps` steps, over all components.
 
-    The model goes on from its own prediction, under the actions that were done; the longest episode bounds the steps.
+    The model continues from its own prediction, under the executed actions; the longest episode limits the steps.
 
     Raises:
-        KoopmanError: there is not one step.
+        KoopmanError: There are no steps.
     """
     steps = min(steps, max((len(each) for each in actions), default=0))
     if steps < 1:
@@ -48,29 +48,29 @@ def horizon_errors(predict: Predict, z: Sequence[Array], actions: Sequence[Array
 
 
 def law_error(predict: Predict, K: Array, z: Sequence[Array], actions: Sequence[Array]) -> float:
-    """Return the error over persistence, after one step, in what the law asks for: in K z.
+    """Return the one-step error of the law's output K z, relative to persistence.
 
-    Unlike that of z it is the same in all coordinates of the latent space: a component that is easy to predict cannot
-    make up for those that the law looks at by being large. The rows of the gain K (m, n) are in like units.
+    Unlike the error of z, this error is independent of the latent coordinates: large components that are easy to
+    predict cannot mask those used by the law. The rows of the gain K (m, n) have comparable units.
     """
     missed = [(here[1:] - predict(here[:-1], done)) @ K.T for here, done in zip(z, actions, strict=True)]
     return _over_persistence(missed, [each @ K.T for each in z])
 
 
 def noise_floor(z: Sequence[Array], again: Sequence[Array]) -> float:
-    """Return the error over persistence, after one step, that the sensor's noise alone makes.
+    """Return the one-step error relative to persistence that results from sensor noise alone.
 
-    Two looks at one state, `z` and `again`, differ by noise. Half of its mean square is what is missed by who knows the
-    next state: no model, linear or not, misses less.
+    Two observations of one state, `z` and `again`, differ by noise. Half of the mean squared difference is the error of
+    a perfect prediction, and thus a lower bound for any model.
     """
     return _over_persistence([np.sqrt(0.5) * (one - two)[1:] for one, two in zip(z, again, strict=True)], z)
 
 
 def linear_floor(z: Sequence[Array], actions: Sequence[Array]) -> float:
-    """Return the error over persistence, after one step, of the linear model that is fitted to these very steps.
+    """Return the one-step error relative to persistence of a linear model fitted to these very steps.
 
-    No linear model of these latents misses less of them, whatever it was fitted to: what of it is not noise is not
-    linear in z and u. With a tenth as many regressors as there are steps it is 5 % too low.
+    This is a lower bound for any linear model of these latents: the part that is not noise is nonlinear in z and u. If
+    there are ten times as many steps as regressors, the bound is 5 % too low.
     """
     here = np.hstack((np.concatenate([each[:-1] for each in z]), np.concatenate(actions)))
     regressors = np.hstack((here, np.ones((len(here), 1))))

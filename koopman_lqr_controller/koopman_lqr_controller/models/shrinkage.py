@@ -1,8 +1,8 @@
-"""Least squares for little and noisy data: a linear model that is shrunk towards "nothing changes".
+"""Least squares for scarce and noisy data: a linear model shrunk towards persistence.
 
-The usual ridge pulls A towards zero, which predicts worse than persistence long before it has learnt anything. This one
-pulls towards A = I, B = 0, and how strongly is chosen by the data: by cross-validation over parts of the drive, and of
-those strengths that are not clearly worse than the best (one standard error) the strongest.
+The usual ridge shrinks A towards zero, which predicts worse than persistence on little data. This one shrinks towards A
+= I, B = 0. Its strength is chosen by cross-validation over parts of the drive: the strongest one that is not clearly
+worse than the best (within one standard error).
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from koopman_lqr_controller.models.identifiability import RegressionData, check_
 from koopman_lqr_controller.models.least_squares import Deviations, LeastSquares
 
 RIDGES = (0.0, *(float(10.0**power) for power in np.arange(-6.0, 2.1, 1.0 / 3.0)))
-"""Strengths that are tried, relative to each regressor's variance; none for data without noise."""
+"""Strengths to try, relative to each regressor's variance; 0 for noise-free data."""
 _ROUNDING = 1e-13
-"""Share of the largest singular value below which a direction holds only rounding."""
+"""Fraction of the largest singular value below which a direction is only rounding."""
 _FOLDS = 8
 
 
 @dataclass(frozen=True)
 class ShrinkageFit:
-    """A model and how it was chosen: z_{k+1} = drift + A z_k + B u_k.
+    """A model z_{k+1} = drift + A z_k + B u_k, with details of its selection.
 
     Attributes:
         model: Linear model with A (n, n) and B (n, m).
         drift: Drift of the model (n,).
         ridge: Strength of the shrinkage.
-        cross_validation_error: Error over persistence in cross-validation, on parts that were not fitted.
+        cross_validation_error: Cross-validated error relative to persistence.
     """
 
     model: LinearModel
@@ -46,17 +46,17 @@ class ShrinkageFit:
 def fit_with_shrinkage(
     data: Snapshots, twin: Snapshots | None = None, drift: bool = True, lifted: bool = False
 ) -> ShrinkageFit:
-    """Return the model of snapshots in the order of time; neighbours stay together when parts are left out.
+    """Fit a shrunk model to snapshots in time order; consecutive snapshots are held out together.
 
     Args:
         data: Snapshots in the order of time.
-        twin: As many more, e.g. the same mirrored; each is left out together with its own.
-        drift: Whether there may be one; else the model is of deviations from a fixed point.
-        lifted: Whether z are functions that leave a rest which is no noise, as in `fit`.
+        twin: As many additional snapshots, e.g. mirrored ones; each is held out together with its counterpart.
+        drift: Whether the model has a drift; otherwise it describes deviations from a fixed point.
+        lifted: Whether z are lifting functions with a deterministic residual, as in `fit`.
 
     Raises:
-        KoopmanError: fewer than two rows for each part, values that are not finite numbers of fitting shapes, nothing
-            moves, or the data do not tell what the controls do.
+        KoopmanError: There are fewer than two rows per part, values are not finite or have inconsistent shapes, nothing
+            moves, or the data does not identify the effect of the controls.
     """
     given = RegressionData.of(data.z, data.u, data.z_next)
     if len(given.z) < 2 * _FOLDS:
@@ -91,7 +91,7 @@ def fit_with_shrinkage(
 
 
 def _cross_validation_errors(X: Array, Y: Array, moved: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
-    """Return squared errors over those of persistence (parts, ridges), each part predicted by the others."""
+    """Return squared errors relative to persistence (parts, ridges), with each part predicted from the others."""
     out = []
     for rows in parts:
         x, y = X[rows], Y[rows]
@@ -110,9 +110,9 @@ def _chosen(errors: Array) -> int:
 
 
 def _bearable(X: Array, Y: Array, chosen: int, n: int) -> int:
-    """Return the strongest ridge up to the chosen one that hides no control's effect which the data tell.
+    """Return the strongest ridge, up to the chosen one, that hides no identifiable effect of a control.
 
-    A control that mostly follows the state is small where it is on its own, and what is small is shrunk first. The
+    A control that mostly follows the state has a small independent part, and small parts are shrunk first. The
     regressors after the first n are the controls.
     """
     plain, *ridged = _solutions(X, Y, (0.0, *RIDGES[: chosen + 1]))
@@ -127,7 +127,7 @@ def _bearable(X: Array, Y: Array, chosen: int, n: int) -> int:
 
 
 def _solutions(X: Array, Y: Array, ridges: Sequence[float]) -> list[Array]:
-    """Return the coefficients for each ridge, from one decomposition of X: X^T X would lose half of the digits."""
+    """Return the coefficients for each ridge, from one decomposition of X; X^T X would lose half of the digits."""
     U, s, Vt = np.linalg.svd(X, full_matrices=False)
     s = s[s > _ROUNDING * s[0]]
     along, V = U[:, : len(s)].T @ Y, Vt[: len(s)].T * (np.abs(X).max(axis=0) > 0.0)[:, None]

@@ -1,4 +1,4 @@
-"""The controller node: scan and odometry in, velocity and latent state out."""
+"""The controller node: receives scans and odometry, publishes velocity and latent state."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from koopman_lqr_controller.safety.guards import Guard
 from koopman_lqr_controller.sensing.lidar_observation import STEP_TOLERANCE
 
 _OUT_OF_STEP = 20
-"""Scans in a row that were not predicted, after which it is said."""
+"""Number of consecutive unpredicted scans after which a warning is logged."""
 _SOME_SCAN = ScanGeometry(360, 0.0, 2.0 * np.pi / 360, 0.1, 3.5)
 _LIMITS, _RETRIES = ("largest_distance", "largest_error", "error_patience"), ("retry_after", "most_retries")
 
 
 class _LatentDetails(NamedTuple):
-    """Facts of one decision in the latent space.
+    """Details of one decision in the latent space.
 
     Attributes:
         decision: Command, control and latent of the policy.
-        predicted: Latent that the model predicted for this scan (n,); None where it predicted none.
+        predicted: Latent predicted by the model for this scan (n,); None without a prediction.
         error: |z - z_predicted|; NaN without a prediction.
-        distance: Distance of the latent over that of the border; NaN without a distribution.
-        measured: Speed [m/s] and turn rate [rad/s] by odometry.
+        distance: Distance of the latent relative to the border's; NaN without a distribution.
+        measured: Odometry speed [m/s] and turn rate [rad/s].
     """
 
     decision: Decision
@@ -55,10 +55,10 @@ class _LatentDetails(NamedTuple):
 
 
 class LatentDriver(NodeDriver):
-    """Drives by a Koopman policy, stops outside what its training saw, and publishes how each command came about."""
+    """Drives with a Koopman policy, stops outside its training region, and publishes the details of each command."""
 
     def __init__(self, node: DriverNode) -> None:
-        """Read the policy that the node's parameter names."""
+        """Load the policy named by the node's parameter."""
         self._node, self._settings = node, node.settings
         self._latent = node.create_publisher(LatentState, "~/latent", RESULT)
         self._policy: KoopmanPolicy
@@ -71,7 +71,7 @@ class LatentDriver(NodeDriver):
         """Return the policy's command.
 
         Raises:
-            KoopmanError: There is none, or the latent is not as in training.
+            KoopmanError: There is no command, or the latent is outside the training region.
         """
         now, predicted, error = sensors.time, None, math.nan
         v, omega = sensors.speeds
@@ -87,7 +87,7 @@ class LatentDriver(NodeDriver):
         return self._guard.speed_scale * decision.command
 
     def on_sent(self, header: Header, command: NDArray[np.float64], problem: str) -> None:
-        """Publish how the command came about, and predict the latent that follows from it."""
+        """Publish the details of the command, and predict the resulting latent."""
         dry, nan, details = self._settings["dry_run"], math.nan, self._details
         out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
         out.command = _doubles(command)
@@ -106,10 +106,10 @@ class LatentDriver(NodeDriver):
         self._latent.publish(out)
 
     def use_parameter(self, name: str) -> None:
-        """Apply a parameter; a new policy drives from the next scan on.
+        """Apply a changed parameter; a new policy is used from the next scan on.
 
         Raises:
-            KoopmanError: The policy does not serve; the one before goes on.
+            KoopmanError: The policy is unusable; the previous one stays in use.
         """
         if name == "policy":
             self._load(self._settings["policy"])
@@ -117,7 +117,7 @@ class LatentDriver(NodeDriver):
             self._set_guard()
 
     def figures(self) -> Mapping[str, object]:
-        """Return which policy gives the commands, and how far from its training the robot is."""
+        """Report the active policy and the robot's distance from its training region."""
         return self._served | {
             "distance over the region's": self._not_watched("largest_distance") or f"{self._guard.distance:.2f}",
             "prediction": self._not_watched("largest_error") or self._out_of_step or "watched",
@@ -125,10 +125,10 @@ class LatentDriver(NodeDriver):
         }
 
     def _load(self, name: str) -> None:
-        """Read, try out and take over a policy.
+        """Load, test and activate a policy.
 
         Raises:
-            KoopmanError: it does not serve; the one before goes on.
+            KoopmanError: The policy is unusable; the previous one stays in use.
         """
         path = find_policy(name)
         policy = load_policy(path)
@@ -153,7 +153,7 @@ class LatentDriver(NodeDriver):
         self._guard.set_retries(*(self._settings[name] for name in _RETRIES))
 
     def _in_step(self, elapsed: float) -> bool:
-        """Whether so much time [s] since the last scan is what the model predicts for; say so where it never is."""
+        """Return whether the time [s] since the last scan matches the model's step; warn if it never does."""
         dt = self._policy.dt
         if dt is None or abs(elapsed / dt - 1.0) < STEP_TOLERANCE:
             self._late, self._out_of_step = 0, ""
@@ -166,18 +166,18 @@ class LatentDriver(NodeDriver):
         return False
 
     def _not_watched(self, limit: str) -> str:
-        """Return why a parameter's limit is of no effect, empty where it is."""
+        """Return why the limit set by a parameter has no effect, or "" if it has."""
         if self._policy.distribution is None:
             return "not watched: the policy's file has no region"
         return "" if self._settings[limit] > 0.0 else f"not watched: {limit} is 0.0"
 
 
 class Controller(DriverNode):
-    """Drives a robot from its lidar with a Koopman-LQR policy.
+    """Drives a robot from its lidar with a Koopman LQR policy.
 
-    Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that it
-    answers. Without a recent, usable scan and odometry the robot stands still; so it does outside what the policy's
-    training saw, and while the policy's model predicts badly. Another policy may be given while it drives.
+    Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that
+    triggered it. The robot stops without a recent, usable scan and odometry, outside the policy's training region, and
+    while the policy's model predicts poorly. The policy can be replaced at run time.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -225,7 +225,7 @@ class Controller(DriverNode):
 
 
 def _doubles(values: NDArray[np.float64]) -> array[float]:
-    """Return `values` as the array that a float64[] field takes whole; of an ndarray it looks at each element."""
+    """Convert `values` to the array type that a float64[] field takes directly; faster than an ndarray."""
     return array("d", values.tobytes())
 
 

@@ -1,7 +1,7 @@
-"""A driver without a model, as a node that records drives to learn from: it keeps between the walls and adds noise.
+"""Node that records drives for learning: a model-free driver that stays between the walls and adds noise.
 
-EDMD needs data in which the controls are excited and the robot is seen off its middle line; this driver is no
-competitor of what is learned from it.
+EDMD needs data with excited controls and lateral offsets; the driver is not meant as a baseline for the learnt
+policies.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _MEMORY = 0.8
 
 
 class ScriptedDriver(NodeDriver):
-    """Steers to the side with more room, at a wandering speed, with coloured noise on both commands."""
+    """Steers towards the side with more room, at a varying speed, with coloured noise on both commands."""
 
     def __init__(self, node: DriverNode) -> None:
-        """Make the driver of a node."""
+        """Create the driver of a node."""
         value = node.settings
         self.sectors = CorridorObservables().sectors
         self._random = np.random.default_rng(value["seed"])
@@ -40,7 +40,7 @@ class ScriptedDriver(NodeDriver):
         """Return speed [m/s] and turn rate [rad/s] (2,).
 
         Raises:
-            ScanError: Nothing can be seen in the scan.
+            ScanError: The scan has no measurement.
         """
         distances = self.sectors.distances(sensors.ranges, sensors.scan)
         half = len(distances) // 2
@@ -53,7 +53,7 @@ class ScriptedDriver(NodeDriver):
 
 
 class ScriptedDriverNode(DriverNode):
-    """Drives a robot between walls with a shaking hand, to record drives that a model can be learned from.
+    """Drives a robot between walls with noisy commands, to record drives from which a model can be learnt.
 
     Subscribes to scan and odom, publishes cmd_vel.
     """

@@ -1,1 +1,1 @@
-"""Policies as they run on the robot, and their files."""
+"""Policies as run on the robot, and their files."""

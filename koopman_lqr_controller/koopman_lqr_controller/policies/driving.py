@@ -1,6 +1,6 @@
-"""Koopman policies for `ros2 run ctrl_rl_core policy`, which finds them by the entry point group `ctrl_rl.policies`.
+"""Koopman policies for `ros2 run ctrl_rl_core policy`, found through the entry point group `ctrl_rl.policies`.
 
-The region of training is watched there, too; the prediction error only by the controller of this package.
+The training region is monitored there too; the prediction error only by this package's controller.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy, load_policy, shipped_policies
 
 LARGEST_DISTANCE = 1.3
-"""Distance from the latents of training that stops the robot, over that of 99.9 % of them."""
+"""Distance from the training latents that stops the robot, relative to that of 99.9 % of them."""
 
 
 class DrivingPolicy:
-    """A Koopman policy that drives a robot on wheels; it decides at each scan."""
+    """A Koopman policy that drives a wheeled robot; decides at each scan."""
 
     def __init__(self, policy: KoopmanPolicy) -> None:
         self._policy = policy
@@ -34,8 +34,8 @@ class DrivingPolicy:
         """Return speed [m/s] and turn rate [rad/s] (2,).
 
         Raises:
-            ScanError: Nothing can be seen in the scan.
-            KoopmanError: The latent is not as in training.
+            ScanError: The scan has no measurement.
+            KoopmanError: The latent is outside the training region.
         """
         decision = self._policy.decide(sensors.ranges, sensors.scan, *sensors.speeds)
         distribution = self._policy.distribution
@@ -45,10 +45,10 @@ class DrivingPolicy:
 
 
 def load_driving_policy(path: Path) -> DrivingPolicy:
-    """Return the policy of a file.
+    """Load the policy of a file.
 
     Raises:
-        KoopmanError: It holds none, or one of a task without a lidar.
+        KoopmanError: The file has no policy, or one for a task without a lidar.
     """
     return DrivingPolicy(load_policy(path))
 

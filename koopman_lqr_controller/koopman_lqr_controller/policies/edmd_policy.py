@@ -1,4 +1,4 @@
-"""The two-stage policy (thesis 2.3.1) as it runs on the robot: lift, multiply, clamp. NumPy only."""
+"""The two-stage policy (thesis 2.3.1) as run on the robot: lift, multiply, clamp. NumPy only."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class EdmdPolicy:
         observables: Observables Psi of a scan and odometry.
         model: Model of deviations from the reference.
         K: Gain (2, n).
-        P: cost-to-go (n, n).
+        P: Cost-to-go (n, n).
         z_ref: Reference of the lifted state (n,).
         u_ref: Command that holds the reference (2,): speed [m/s], turn rate [rad/s].
-        u_low: Least command (2,).
-        u_high: Largest command (2,).
-        manifest: Origin and figures of the policy: plain JSON values.
-        distribution: Distribution of the latents in training; None where the file has none.
+        u_low: Minimum command (2,).
+        u_high: Maximum command (2,).
+        manifest: Provenance and metrics of the policy: plain JSON values.
+        distribution: Distribution of the latents in training; None if the file has none.
     """
 
     observables: CorridorObservables
@@ -69,37 +69,37 @@ class EdmdPolicy:
 
     @property
     def dt(self) -> float | None:
-        """Time for which the model predicts [s]; None where the manifest does not say."""
+        """Time step of the model [s]; None if not in the manifest."""
         dt = self.manifest.get("dt")
         return None if dt is None else float(dt)
 
     @property
     def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to."""
+        """Sectors to which a scan is resampled."""
         return self.observables.sectors
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
+        """Minimum and maximum command (2,), (2,): speed [m/s], turn rate [rad/s]."""
         return self.u_low, self.u_high
 
     @property
     def loop(self) -> Array:
-        """A - B K (n, n)."""
+        """Closed-loop matrix A - B K (n, n)."""
         return self.model.A - self.model.B @ self.K
 
     def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
         """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
         Raises:
-            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+            KoopmanError: The scan has no measurement, or speed or turn rate are not finite.
         """
         z = self.observables.observe(ranges, scan, v, omega)
         control = self.u_ref - self.K.dot(z - self.z_ref)
         return Decision(np.minimum(np.maximum(control, self.u_low), self.u_high), control, z)
 
     def predict(self, z: Array, command: Array) -> Array:
-        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+        """Return the model's next z (n,) under a command (2,), clipped to the limits."""
         command = np.clip(command, self.u_low, self.u_high)
         return self.z_ref + self.model.predict(z - self.z_ref, command - self.u_ref)
 
@@ -109,7 +109,7 @@ class EdmdPolicy:
         return float(deviation @ self.P @ deviation)
 
     def closed_loop_model(self) -> ClosedLoopModel:
-        """Return the policy as control theory sees it; its controls are commands, and z is x."""
+        """Return the closed-loop model; its controls are commands, and z is x."""
         z_ref, u_ref = self.z_ref, self.u_ref
         Q, R = costs_of(self.model, self.K, self.P)
         return ClosedLoopModel(
@@ -130,13 +130,13 @@ class EdmdPolicy:
 
     @property
     def observation_fn(self) -> ObservationFn:
-        """Psi of a scan and odometry."""
+        """The function from a scan and odometry to Psi."""
         return self.observables.observe
 
     def to_controls(self, commands: Array) -> Array:
-        """Return the commands (N, 2) themselves: they are the model's controls."""
+        """Return the commands (N, 2) unchanged, since they are the model's controls."""
         return commands
 
     def to_commands(self, controls: Array) -> Array:
-        """Return the controls (N, 2) themselves: they are commands."""
+        """Return the controls (N, 2) unchanged, since they are commands."""
         return controls

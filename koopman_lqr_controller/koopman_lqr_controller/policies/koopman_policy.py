@@ -1,4 +1,4 @@
-"""Parts of both kinds of policies: observation, decision, and the model and law that control theory looks at."""
+"""Parts common to all policies: observation, decision, and the closed-loop model for analysis."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class ObservationFn(Protocol):
         Args:
             ranges: Distances of the scan's beams (beams,) [m].
             scan: Geometry of the scan.
-            v: Speed by odometry [m/s].
-            omega: Turn rate by odometry [rad/s].
+            v: Odometry speed [m/s].
+            omega: Odometry turn rate [rad/s].
 
         Raises:
-            KoopmanError: the scan holds no measurement, or speed or turn rate are not finite.
+            KoopmanError: The scan has no measurement, or speed or turn rate are not finite.
         """
 
 
 class Decision(NamedTuple):
-    """Command for one scan, and how it came about.
+    """Command for one scan, with intermediate results.
 
     Attributes:
         command: Control clamped to the limits (2,): speed [m/s], turn rate [rad/s].
@@ -61,12 +61,12 @@ class ClosedLoopModel:
         Q: Diagonal of the state cost (n,).
         R: Diagonal of the control cost (m,).
         z_ref: Reference of z (n,).
-        slope: Derivative of the control by the law's u at the reference (m,): 1, or that of tanh.
-        latent: Function from observations (*shape) or (N, *shape) to z; the identity where x is z.
+        slope: Derivative of the control with respect to the law's u at the reference (m,): 1, or that of tanh.
+        latent: Function from observations (*shape) or (N, *shape) to z; the identity if x is z.
         control: Function from z to the control within its limits.
         predict: Function from z (N, n) and controls (N, m) to the model's next z (N, n).
-        low: Least control (m,).
-        high: Largest control (m,).
+        low: Minimum control (m,).
+        high: Maximum control (m,).
     """
 
     kind: str
@@ -85,16 +85,16 @@ class ClosedLoopModel:
 
     @property
     def closed(self) -> Array:
-        """A - B diag(slope) K (n, n): the loop that runs, near the reference."""
+        """A - B diag(slope) K (n, n), the actual loop near the reference."""
         return self.model.A - self.model.B @ (self.slope[:, None] * self.K)
 
     @property
     def gain(self) -> Array:
-        """K (m, n) in actions, which span -1 to 1: the units of its rows are alike."""
+        """K (m, n) in terms of actions in [-1, 1], so that its rows have comparable units."""
         return 2.0 * self.K / (self.high - self.low)[:, None]
 
     def action(self, u: Array) -> Array:
-        """Return the action in [-1, 1] that stands for a control within its limits."""
+        """Convert a control within its limits to an action in [-1, 1]."""
         return 2.0 * (u - self.low) / (self.high - self.low) - 1.0
 
     def cost_to_go(self, z: Array) -> Array:

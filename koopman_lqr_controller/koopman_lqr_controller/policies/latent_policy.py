@@ -27,7 +27,7 @@ from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
 @dataclass(frozen=True)
 class RobotInterface:
-    """Connection of a robot with a lidar to a latent controller.
+    """Connection between a lidar robot and a latent controller.
 
     Attributes:
         observation: Observation x of a scan and odometry.
@@ -46,7 +46,7 @@ class RobotInterface:
             raise KoopmanError("u_low and u_high must be two numbers each, u_low below u_high")
 
     def command(self, action: Array) -> Array:
-        """Return the command (2,) of an action (2,)."""
+        """Convert an action (2,) to a command (2,)."""
         return self.u_low + (action + 1.0) * self.half
 
     @cached_property
@@ -55,21 +55,21 @@ class RobotInterface:
         return 0.5 * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:
-        """Return the actions (2,) or (N, 2), in [-1, 1], whose commands are nearest to these."""
+        """Return the actions (2,) or (N, 2) in [-1, 1] whose commands are nearest to the given ones."""
         return np.clip(2.0 * (command - self.u_low) / (self.u_high - self.u_low) - 1.0, -1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class LatentPolicy:
-    """A controller, and where it may be used. What concerns a robot raises KoopmanError where there is no lidar.
+    """A controller with its conditions of use. Robot-related members raise KoopmanError if the task has no lidar.
 
     Attributes:
         controller: The latent controller.
-        dt: Time from one decision to the next, for which the model predicts [s].
+        dt: Decision period, and time step of the model [s].
         robot_interface: Connection to a robot with a lidar; None for tasks without one, e.g. those of the DeepMind
             control suite.
-        manifest: Origin, method and figures of the policy: plain JSON values.
-        distribution: Distribution of the latents in training; None where the file has none.
+        manifest: Provenance, method and metrics of the policy: plain JSON values.
+        distribution: Distribution of the latents in training; None if the file has none.
     """
 
     controller: LatentController
@@ -97,10 +97,10 @@ class LatentPolicy:
 
     @property
     def required_interface(self) -> RobotInterface:
-        """Interface to the robot.
+        """The interface to the robot.
 
         Raises:
-            KoopmanError: the policy is of a task without a lidar.
+            KoopmanError: The policy's task has no lidar.
         """
         if self.robot_interface is None:
             raise KoopmanError(f"this policy is for the task {self.manifest.get('task')}, which has no lidar")
@@ -108,17 +108,17 @@ class LatentPolicy:
 
     @property
     def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to."""
+        """Sectors to which a scan is resampled."""
         return self.required_interface.observation.sectors
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Least and largest command (2,), (2,): speed [m/s], turn rate [rad/s]."""
+        """Minimum and maximum command (2,), (2,): speed [m/s], turn rate [rad/s]."""
         return self.required_interface.u_low, self.required_interface.u_high
 
     @cached_property
     def _latent(self) -> Callable[[Array], Array]:
-        """Function from an observation to z: the fused encoder, or the controller's own where it cannot be fused."""
+        """Function from an observation to z: the fused encoder, or the controller's own if it cannot be fused."""
         try:
             return FusedEncoder(self.controller.encoder, self.controller.projection)
         except KoopmanError:
@@ -126,24 +126,24 @@ class LatentPolicy:
 
     @cached_property
     def _gain(self) -> Array:
-        """The gain K in the units of the command (2, n)."""
+        """Gain K in command units (2, n)."""
         return self.required_interface.half[:, None] * self.controller.K
 
     @cached_property
     def _offset(self) -> Array:
-        """The offset k in the units of the command (2,)."""
+        """Offset k in command units (2,)."""
         return self.required_interface.command(self.controller.k)
 
     @property
     def loop(self) -> Array:
-        """A - B K (n, n)."""
+        """Closed-loop matrix A - B K (n, n)."""
         return self.controller.model.A - self.controller.model.B @ self.controller.K
 
     def decide(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Decision:
         """Return the command for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
         Raises:
-            KoopmanError: nothing can be seen in the scan, or speed or turn rate are not finite.
+            KoopmanError: The scan has no measurement, or speed or turn rate are not finite.
         """
         robot_interface, controller = self.required_interface, self.controller
         z = self._latent(robot_interface.observation.observe(ranges, scan, v, omega))
@@ -155,7 +155,7 @@ class LatentPolicy:
         return Decision(np.minimum(np.maximum(control, robot_interface.u_low), robot_interface.u_high), control, z)
 
     def predict(self, z: Array, command: Array) -> Array:
-        """Return the model's next z (n,) under a command (2,), which counts as the nearest within the limits."""
+        """Return the model's next z (n,) under a command (2,), clipped to the limits."""
         return self.controller.predict(z, self.required_interface.action(command))
 
     def cost_to_go(self, z: Array) -> float:
@@ -163,7 +163,7 @@ class LatentPolicy:
         return self.controller.cost_to_go(z)
 
     def closed_loop_model(self) -> ClosedLoopModel:
-        """Return the policy as control theory sees it; its controls are actions in [-1, 1]."""
+        """Return the closed-loop model; its controls are actions in [-1, 1]."""
         controller = self.controller
         controls, learnt = len(controller.R), controller.horizon is not None
         slope = 1.0 - np.tanh(controller.control(controller.z_ref)) ** 2 if learnt else np.ones(controls)
@@ -189,9 +189,9 @@ class LatentPolicy:
         return self.required_interface.observation.observe
 
     def to_controls(self, commands: Array) -> Array:
-        """Return the actions (N, 2), in [-1, 1], whose commands are nearest to these (N, 2)."""
+        """Return the actions (N, 2) in [-1, 1] whose commands are nearest to the given ones (N, 2)."""
         return self.required_interface.action(commands)
 
     def to_commands(self, controls: Array) -> Array:
-        """Return the commands (N, 2) of actions (N, 2)."""
+        """Convert actions (N, 2) to commands (N, 2)."""
         return self.required_interface.command(controls)

@@ -1,4 +1,4 @@
-"""Policy files: safetensors with a JSON manifest in the header. Nothing in them is executed."""
+"""Policy files: safetensors with a JSON manifest in the header, without executable content."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from koopman_lqr_controller.policies.latent_policy import LatentPolicy, RobotInt
 from koopman_lqr_controller.policies.policy_header import EdmdHeader, LatentHeader
 
 KoopmanPolicy = EdmdPolicy | LatentPolicy
-"""A linear quadratic regulator on lifted observations, however it was learnt."""
+"""A linear quadratic regulator on lifted observations, of any origin."""
 FORMAT, LATENT_FORMAT = "koopman-lqr-1", "koopman-latent-2"
 _HEADER_KEY = "policy"
 _LARGEST_LATENT = 500
-"""Dimensions: an LQR of more takes minutes, and a robot waits."""
+"""Maximum latent dimension; the LQR of a larger one takes minutes while a robot waits."""
 _TENSORS = ("K", "P", "z_ref", "u_ref", "u_low", "u_high")
 _LATENT_TENSORS, _REFERENCE = ("Q", "R", "z_ref"), ("a_ref", "drift")
 _COMMANDS = ["speed [m/s]", "turn rate [rad/s]"]
@@ -45,20 +45,20 @@ _OBSERVABLES = ("bearings_deg", "half_width_deg", "near", "closest", "far")
 
 
 DEFAULT_POLICY = "curved_corridor"
-"""The learnt one of those that come with the package; "curved_corridor_edmd" is the classical one."""
+"""The shipped learnt policy; "curved_corridor_edmd" is the classical one."""
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Return the policies that come with the package, by name."""
+    """Return the shipped policies by name."""
     folder = Path(str(files("koopman_lqr_controller"))) / "policies" / "pretrained"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def find_policy(name_or_path: str) -> Path:
-    """Return the file of a shipped policy, or the path itself.
+    """Return the file of a shipped policy, or the path unchanged.
 
     Raises:
-        KoopmanError: there is no such policy.
+        KoopmanError: The policy does not exist.
     """
     shipped = shipped_policies()
     path = shipped.get(name_or_path, Path(name_or_path).expanduser())
@@ -80,20 +80,20 @@ def digest(path: Path) -> str:
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Refuse to write over a file unless that is asked for.
+    """Raise if a file exists, unless overwriting is requested.
 
     Raises:
-        KoopmanError: it is there.
+        KoopmanError: The file exists.
     """
     if path.exists() and not overwrite:
         raise KoopmanError(f"{short_path(path)} exists: give another name, or --overwrite to replace it")
 
 
 def save_policy(policy: KoopmanPolicy, path: Path, overwrite: bool = False) -> None:
-    """Write a policy; the file is there whole or not at all.
+    """Write a policy atomically.
 
     Raises:
-        KoopmanError: the file exists and `overwrite` is false, or it cannot be written.
+        KoopmanError: The file exists and `overwrite` is false, or cannot be written.
     """
     refuse_existing(path, overwrite)
     header, tensors = _describe_latent(policy) if isinstance(policy, LatentPolicy) else _describe_edmd(policy)
@@ -109,10 +109,10 @@ def save_policy(policy: KoopmanPolicy, path: Path, overwrite: bool = False) -> N
 
 
 def load_policy(path: Path) -> KoopmanPolicy:
-    """Read a policy of either kind and check it.
+    """Load and validate a policy of either kind.
 
     Raises:
-        KoopmanError: no such file, or it is not a whole and consistent policy.
+        KoopmanError: The file does not exist, or is not a complete and consistent policy.
     """
     with raise_as(KoopmanError, path):
         header, tensors, _ = read_tensors(path, _HEADER_KEY)
@@ -174,7 +174,7 @@ def _describe_latent(policy: LatentPolicy) -> tuple[dict[str, Any], dict[str, ND
 
 
 def _build_latent(told: LatentHeader, tensors: Tensors) -> LatentPolicy:
-    """Return the policy; its gain is computed anew."""
+    """Create the policy and compute its gain."""
     names = _LATENT_TENSORS if told.horizon is not None else _LATENT_TENSORS + _REFERENCE
     given = {name: np.ascontiguousarray(tensors[name], dtype=np.float64) for name in ("A", "B", *names)}
     model, projection = LinearModel(given.pop("A"), given.pop("B")), tensors.get("projection")

@@ -1,4 +1,4 @@
-"""The schema of policy files' headers: types and ranges in which a controller can be made and a robot driven."""
+"""Schema of policy file headers: types and ranges that permit a controller and safe driving."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REGION = ("mean", "covariance")
 
 
 class _Sight(Schema):
-    """Distances that count [m]."""
+    """Distances of the lidar observation [m]."""
 
     near: _Length
     closest: _Length
@@ -64,7 +64,7 @@ class _Weights(Schema):
 
 
 class _Manifest(Schema):
-    """Origin of a policy; other keys are for people."""
+    """Provenance of a policy; other keys are for human readers."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -86,7 +86,7 @@ class _Header(Schema):
     region: _Region | None = None
 
     def training_distribution(self, tensors: Tensors) -> LatentDistribution | None:
-        """Return what training saw; files from before it was written down have none."""
+        """Return the training distribution; None for files that predate it."""
         if self.region is None:
             return None
         mean, covariance = (tensors[f"region.{name}"].astype(float) for name in _REGION)

@@ -1,1 +1,1 @@
-"""Guards that compare a robot with what training saw."""
+"""Guards that compare a robot's latents and prediction errors with those of training."""

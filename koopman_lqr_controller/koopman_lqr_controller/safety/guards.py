@@ -1,8 +1,9 @@
-"""What training saw, and guards that stop a robot outside of it: pure logic, time is passed in.
+"""Training distribution, and guards that stop a robot outside of it. No ROS; time is an argument.
 
-Two alarms watch a policy: that of the region, which the latent may not leave, and that of the prediction, whose error
-may not stay high. Each rises when what it watches was above its limit for some time, and ends when it was well below
-for as long. An error that stays high because the robot stands would never end: it may try again, slowly, some times.
+Two alarms monitor a policy: the region alarm, for a latent outside the training region, and the prediction alarm, for a
+persistently high prediction error. Each is raised when its value has exceeded the limit for some time, and ends when
+the value has been well below for as long. An error that stays high because the robot is stopped would never end, so the
+robot may retry slowly a limited number of times.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 
 INSIDE = 99.9
-"""Percentile of the distances in training that is the border of the region."""
+"""Percentile of the training distances that defines the border of the region."""
 PREDICTED = 99.0
-"""Percentile of the one-step prediction errors in training above which an error is high."""
+"""Percentile of the training one-step prediction errors above which an error counts as high."""
 _LEAST_SPREAD = 1e-6
-"""Directions that vary by less than this part of the first one say nothing but the rounding of single precision."""
+"""Standard deviation relative to the first direction below which a direction is only single-precision rounding."""
 RELEASE = 0.8
-"""Part of the limit below which an alarm ends: what hovers at the limit does not stop and go."""
+"""Fraction of the limit below which an alarm ends, to avoid toggling at the limit."""
 RETRY_SCALE = 0.5
-"""Part of a command that is carried out during a retry."""
+"""Fraction of a command executed during a retry."""
 RETRY_SECONDS = 3.0
 """Duration of one retry [s]."""
 FORGET_SECONDS = 10.0
-"""Time without an alarm after which former retries no longer count [s]."""
+"""Time without an alarm after which earlier retries no longer count [s]."""
 MAX_GAP_SECONDS = 1.0
-"""Values that are further apart say nothing of the time between them [s]."""
+"""Interval between values above which they say nothing about the time in between [s]."""
 
 
 @dataclass(frozen=True)
 class LatentDistribution:
-    """Gaussian of the latents in training, with the border of usual distances and prediction errors.
+    """Gaussian of the latents in training, with the limits of usual distances and prediction errors.
 
     Attributes:
         mean: Mean of the latents (n,).
@@ -72,26 +73,26 @@ class LatentDistribution:
         return np.linalg.norm((z - self.mean) @ self._whitening.T, axis=-1)
 
     def relative_distance(self, z: Array) -> float:
-        """Return the distance of one latent (n,) over that of the border: above 1 is outside."""
+        """Return the distance of one latent (n,) relative to the border's; above 1 is outside."""
         white = self._whitening.dot(z - self.mean)
         return float(np.sqrt(white.dot(white))) / self.distance
 
 
 def check_distribution(distribution: LatentDistribution | None, size: int) -> None:
-    """Refuse a region of other latents.
+    """Raise if a distribution does not match the latents.
 
     Raises:
-        KoopmanError: it is of another size.
+        KoopmanError: The sizes differ.
     """
     if distribution is not None and len(distribution.mean) != size:
         raise KoopmanError(f"the region is of {len(distribution.mean)} dimensions, the latent has {size}")
 
 
 def fit_distribution(latents: Array, errors: Array) -> LatentDistribution:
-    """Return the region of latents (N, n) and their one-step prediction errors |z - z_predicted| (M,).
+    """Fit the region to latents (N, n) and their one-step prediction errors |z - z_predicted| (M,).
 
     Raises:
-        KoopmanError: there are no more latents than dimensions, no errors, or values that are not finite.
+        KoopmanError: There are not more latents than dimensions, no errors, or values are not finite.
     """
     if latents.ndim != 2 or len(latents) <= latents.shape[1] or errors.ndim != 1 or len(errors) == 0:
         raise KoopmanError(
@@ -110,15 +111,15 @@ def fit_distribution(latents: Array, errors: Array) -> LatentDistribution:
 def fit_distribution_to_episodes(
     predict: Callable[[Array, Array], Array], z: Sequence[Array], actions: Sequence[Array]
 ) -> LatentDistribution:
-    """Return the region of episodes that were lived through.
+    """Fit the region to executed episodes.
 
     Args:
-        predict: Next z (N, n) of z (N, n) and actions (N, m).
+        predict: Returns the next z (N, n) for z (N, n) and actions (N, m).
         z: Latents of each episode (T + 1, n).
         actions: Actions of each episode (T, m).
 
     Raises:
-        KoopmanError: as `fit_distribution`.
+        KoopmanError: As for `fit_distribution`.
     """
     errors = [
         np.linalg.norm(here[1:] - predict(here[:-1], done), axis=1) for here, done in zip(z, actions, strict=True)
@@ -133,9 +134,9 @@ class Alarm:
     """A limit with patience and hysteresis.
 
     Attributes:
-        limit: Limit of the watched value; 0 for none.
-        patience: Time that the value may stay above the limit, and must stay below RELEASE of it again [s].
-        raised: Whether it stayed above for too long.
+        limit: Limit of the monitored value; 0 for none.
+        patience: Time for which the value may exceed the limit, and must later stay below RELEASE times the limit [s].
+        raised: Whether the alarm is raised.
     """
 
     limit: float
@@ -145,11 +146,11 @@ class Alarm:
     _last: float = field(default=math.nan, repr=False)
 
     def end(self) -> None:
-        """End the alarm and forget all values."""
+        """End the alarm and discard all values."""
         self.raised, self._since = False, math.nan
 
     def update(self, now: float, value: float) -> bool:
-        """Update with a value at a time [s], NaN for none, and return whether the alarm is raised."""
+        """Process a value at a time [s], NaN for none, and return whether the alarm is raised."""
         if self.limit <= 0.0:
             self.end()
         elif not math.isnan(value):
@@ -169,12 +170,12 @@ class Alarm:
 
 @dataclass
 class Retries:
-    """A way out of an alarm that only driving can end: stand, then try again slowly, a bounded number of times.
+    """Handles an alarm that only driving can end: stop, then retry slowly, a limited number of times.
 
     Attributes:
-        wait: Time that the robot stands before it tries again [s].
-        most: Largest number of retries; 0 for none.
-        used: Number of retries since all was well for `FORGET_SECONDS`.
+        wait: Time for which the robot stops before a retry [s].
+        most: Maximum number of retries; 0 for none.
+        used: Number of retries since the last `FORGET_SECONDS` without an alarm.
     """
 
     wait: float
@@ -185,10 +186,10 @@ class Retries:
     _well_since: float = field(default=math.nan, repr=False)
 
     def update(self, now: float, alarm: bool) -> float:
-        """Return the part of a command that is to be carried out: 1 without an alarm, 0 to stand, CREEP to try again.
+        """Return the fraction of a command to execute: 1 without an alarm, 0 to stop, RETRY_SCALE for a retry.
 
         Args:
-            now: Present time [s].
+            now: Current time [s].
             alarm: Whether the alarm is raised.
         """
         if not alarm:
@@ -210,12 +211,12 @@ class Retries:
 
 
 class Guard:
-    """Holds a policy's latents and prediction errors against what training saw.
+    """Compares a policy's latents and prediction errors with those of training.
 
     Attributes:
-        distribution: Latent distribution of the policy; None where its file has none: then nothing is watched.
-        distance: Distance of the last latent over that of the border; NaN without a distribution.
-        speed_scale: Part of the command to carry out where nothing stops the robot; below 1 on a retry.
+        distribution: Latent distribution of the policy; None if its file has none, which disables the guard.
+        distance: Distance of the last latent relative to the border's; NaN without a distribution.
+        speed_scale: Fraction of the command to execute if the robot need not stop; below 1 in a retry.
         retries: Retries of an alarm that only driving can end.
     """
 
@@ -226,13 +227,13 @@ class Guard:
         largest_error: float,
         error_patience: float,
     ) -> None:
-        """Make a guard.
+        """Create a guard.
 
         Args:
-            distribution: Latent distribution of the policy; None to watch nothing.
-            largest_distance: Largest distance of a latent, over that of the border; 0 for any.
-            largest_error: Largest prediction error that may stay, over that of training; 0 for any.
-            error_patience: Time that the error may stay above its limit [s].
+            distribution: Latent distribution of the policy; None to disable the guard.
+            largest_distance: Maximum distance of a latent relative to the border's; 0 for no limit.
+            largest_error: Maximum persistent prediction error relative to training; 0 for no limit.
+            error_patience: Time for which the error may exceed its limit [s].
         """
         self.distribution, self.distance = distribution, math.nan
         self.speed_scale, self.retries = 1.0, Retries(math.inf, 0)
@@ -240,25 +241,25 @@ class Guard:
         self.set_limits(largest_distance, largest_error, error_patience)
 
     def set_limits(self, largest_distance: float, largest_error: float, error_patience: float) -> None:
-        """Change the limits; a raised alarm stays raised until its own limit ends it."""
+        """Change the limits; a raised alarm stays raised until its own condition ends it."""
         self._distance_alarm.limit = largest_distance
         self._error_alarm.limit, self._error_alarm.patience = largest_error, error_patience
 
     def set_retries(self, wait: float, most: int) -> None:
-        """Let the robot try again slowly after it stood for `wait` [s] for its prediction error, `most` times."""
+        """Allow `most` slow retries, each after a stop of `wait` [s] due to the prediction error."""
         self.retries.wait, self.retries.most = wait, most
 
     def reset_prediction_alarm(self) -> None:
-        """End the alarm of the prediction: there will be no more errors to end it."""
+        """End the prediction alarm, because no further errors will arrive to end it."""
         self._error_alarm.end()
 
     def update(self, now: float, z: Array, error: float) -> str:
-        """Return why the robot must stop, empty where it need not.
+        """Return the reason why the robot must stop, or "" if it need not.
 
         Args:
             now: Time of the scan [s].
-            z: Its latent (n,).
-            error: |z - z_predicted|; NaN where nothing was predicted.
+            z: Latent of the scan (n,).
+            error: |z - z_predicted|; NaN without a prediction.
         """
         if self.distribution is None:
             return ""

@@ -1,4 +1,4 @@
-"""The direction of a lidar on its robot, by the bag's tf_static: a TurtleBot 4's looks to the left."""
+"""Mounting direction of a lidar from the bag's tf_static; a TurtleBot 4's points to the left."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from koopman_lqr_controller.errors import KoopmanError
 
 _BASES = ("base_link", "base_footprint")
 _LEVEL = 0.99
-"""Cosine of the lidar's tilt, above which its scan is one of the plane."""
+"""Minimum cosine of the lidar's tilt for a planar scan."""
 
 
 def yaw_of_lidar(bag: Path, scan: str, robot: str = "", tell: Tell = warn) -> float:
-    """Return the direction of a scan's zero bearing in the robot's frame [rad], 0 where the bag has no tf_static.
+    """Return the direction of a scan's zero bearing in the robot's frame [rad]; 0 without tf_static in the bag.
 
     Args:
-        bag: With or without the topic tf_static.
+        bag: Bag, with or without the topic tf_static.
         scan: Topic of the scans.
         robot: Namespace of the robot, for its own tf_static.
-        tell: Takes the line that nothing says how the lidar is mounted; warns unless given.
+        tell: Called with a line if the mounting is unknown; a warning by default.
 
     Raises:
-        KoopmanError: the lidar hangs upside down or is tilted, or tf_static does not say how it hangs.
-        BagError: the bag cannot be read.
+        KoopmanError: The lidar is upside down or tilted, or tf_static lacks its mounting.
+        BagError: The bag cannot be read.
     """
     known = bag_info(bag).topics
     topics = [name for name in dict.fromkeys((f"/{robot.strip('/')}/tf_static", "/tf_static")) if name in known]

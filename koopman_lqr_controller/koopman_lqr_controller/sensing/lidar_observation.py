@@ -15,22 +15,23 @@ from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
 
 STEP_TOLERANCE = 0.25
-"""Part by which a step from scan to scan may be shorter or longer than another and still count as the same."""
+"""Relative difference up to which two scan intervals count as equal."""
 
 
 @dataclass(frozen=True)
 class LidarObservation:
-    """x = nearness at bearings all around, then speed and turn rate, each of the order of 1.
+    """x = nearness at bearings all around, then speed and turn rate, each of order 1.
 
-    Nearness, `near` over distance, tells 0.1 m from 0.2 m well and 3.0 m from 3.1 m hardly, as driving needs it.
+    Nearness, `near` over distance, distinguishes 0.1 m from 0.2 m well and 3.0 m from 3.1 m hardly, as required for
+    driving.
 
     Attributes:
-        count: Sectors all around, the first ahead, counter-clockwise; half their spacing is half their opening.
-        near: Distance that has nearness one [m].
-        closest: Distances below this count as this [m].
-        far: Distances above this, and nothing there, count as this [m].
-        speed: Speed that counts as 1 [m/s].
-        turn: Turn rate that counts as 1 [rad/s].
+        count: Number of adjacent sectors all around, counter-clockwise, the first one ahead.
+        near: Distance with nearness one [m].
+        closest: Lower bound of distances [m].
+        far: Upper bound of distances, also used without an echo [m].
+        speed: Speed that maps to 1 [m/s].
+        turn: Turn rate that maps to 1 [rad/s].
     """
 
     count: int = 36
@@ -48,7 +49,7 @@ class LidarObservation:
 
     @cached_property
     def sectors(self) -> Sectors:
-        """Sectors that a scan is resampled to."""
+        """Sectors to which a scan is resampled."""
         spacing = 2.0 * np.pi / self.count
         return Sectors(tuple(float(spacing * index) for index in range(self.count)), 0.5 * spacing, self.far)
 
@@ -60,7 +61,7 @@ class LidarObservation:
 
     @property
     def mirror(self) -> tuple[NDArray[np.intp], Array]:
-        """Order and sign of x's components when left and right are swapped (count + 2,): x[order] * sign."""
+        """Order and sign of x's components with left and right swapped (count + 2,): x[order] * sign."""
         sectors = -np.arange(self.count) % self.count
         order = np.concatenate((sectors, (self.count, self.count + 1))).astype(np.intp)
         return order, np.concatenate((np.ones(self.count + 1), (-1.0,)))
@@ -69,8 +70,8 @@ class LidarObservation:
         """Return x (count + 2,) for one scan and the odometry's speed [m/s] and turn rate [rad/s].
 
         Raises:
-            ScanError: nothing can be seen in the scan.
-            KoopmanError: speed or turn rate are not finite.
+            ScanError: The scan has no measurement.
+            KoopmanError: Speed or turn rate are not finite.
         """
         check_speeds(v, omega)
         x = np.empty(self.count + 2)
@@ -80,10 +81,10 @@ class LidarObservation:
 
 
 def check_speeds(v: float, omega: float) -> None:
-    """Refuse the odometry that a scan is seen with.
+    """Raise if odometry speeds are not finite.
 
     Raises:
-        KoopmanError: speed or turn rate are not finite.
+        KoopmanError: Speed or turn rate are not finite.
     """
     if not (math.isfinite(v) and math.isfinite(omega)):
         raise KoopmanError(f"odometry with speed {v} and turn rate {omega}")

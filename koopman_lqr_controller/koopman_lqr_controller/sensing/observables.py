@@ -1,9 +1,9 @@
 """The user-defined functions Psi of classical Koopman control (thesis Eq. 2.30), for a robot between walls.
 
-Nearness, one over distance, is nearly linear in where the robot is and points: between two walls at width w, offset e
-and heading phi, a beam at bearing b sees sin(b + phi) / (w/2 - e). Its difference between left and right is zero in
-the middle of a straight corridor, grows without bound towards a wall, and ahead it shows the next bend early.
-These differences and the turn rate change sign when left and right are swapped, the speed does not.
+Nearness, one over distance, is nearly linear in the robot's position and heading: between two walls at width w, offset
+e and heading phi, a beam at bearing b sees sin(b + phi) / (w/2 - e). The difference between left and right is zero in
+the middle of a straight corridor, grows without bound towards a wall, and at bearings ahead shows the next bend early.
+These differences and the turn rate change sign when left and right are swapped; the speed does not.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class CorridorObservables:
 
     Attributes:
         bearings_deg: Bearings of the left beams, counter-clockwise from ahead, inside (0, 180) [deg].
-        half_width_deg: Half the opening of a sector [deg].
-        near: Distance that has nearness one [m].
-        closest: Distances below this count as this [m].
-        far: Distances above this count as this [m].
+        half_width_deg: Half the width of a sector [deg].
+        near: Distance with nearness one [m].
+        closest: Lower bound of distances [m].
+        far: Upper bound of distances [m].
     """
 
     bearings_deg: tuple[float, ...] = tuple(float(angle) for angle in range(10, 180, 10))
@@ -51,7 +51,7 @@ class CorridorObservables:
 
     @property
     def mirror(self) -> Array:
-        """Sign of each component when left and right are swapped (n,)."""
+        """Sign of each component with left and right swapped (n,)."""
         return np.array([-1.0] * (len(self.bearings_deg) + 1) + [1.0])
 
     def observe(self, ranges: NDArray[np.float32], scan: ScanGeometry, v: float, omega: float) -> Array:
@@ -60,8 +60,8 @@ class CorridorObservables:
         All components are dimensionless except the last two, the turn rate and the speed.
 
         Raises:
-            ScanError: the scan has no usable beam.
-            KoopmanError: speed or turn rate are not finite.
+            ScanError: The scan has no usable beam.
+            KoopmanError: Speed or turn rate are not finite.
         """
         check_speeds(v, omega)
         half = len(self.bearings_deg)

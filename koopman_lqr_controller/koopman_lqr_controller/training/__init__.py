@@ -1,1 +1,1 @@
-"""Task-oriented learning (thesis 4.2); imports torch, which no robot needs."""
+"""Task-oriented learning (thesis 4.2); requires torch, unlike the code on robots."""

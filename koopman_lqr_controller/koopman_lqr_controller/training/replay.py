@@ -1,4 +1,4 @@
-"""The replay of Koopman learning: observations in their order, each kept once."""
+"""The replay of Koopman learning: observations in order, each stored once."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _PREFIX = "replay."
 
 
 class Later(NamedTuple):
-    """Where the goals of values go on after several steps, fewer where an episode ends.
+    """Multi-step returns, with fewer steps at the end of an episode.
 
     Attributes:
-        gained: Discounted rewards until then (N,).
-        x: Observations then (N, *shape).
-        weight: Discount of what follows, 0 where nothing does (N,).
+        gained: Discounted rewards before the bootstrap (N,).
+        x: Observations at the bootstrap (N, *shape).
+        weight: Discount of the bootstrap value; 0 after termination (N,).
     """
 
     gained: NDArray[np.float32]
@@ -27,15 +27,15 @@ class Later(NamedTuple):
 
 
 class Transitions(NamedTuple):
-    """Steps drawn from a replay.
+    """Steps sampled from a replay.
 
     Attributes:
         x: Observations (N, *shape).
         u: Actions in [-1, 1] (N, m).
         reward: Reward of each step (N,).
-        x_next: Observations that followed (N, *shape).
-        terminated: Whether nothing comes after these, 0 or 1 (N,).
-        later: Where values go on after more steps; None where they do after this one.
+        x_next: Next observations (N, *shape).
+        terminated: Whether the episode terminated there, 0 or 1 (N,).
+        later: Multi-step returns; None for one-step returns.
     """
 
     x: NDArray[np.generic]
@@ -47,14 +47,14 @@ class Transitions(NamedTuple):
 
 
 class Sequences(NamedTuple):
-    """Stretches of H steps drawn from a replay.
+    """Sequences of H steps sampled from a replay.
 
     Attributes:
-        place: Place of each in the replay (N,).
+        place: Index of each sequence in the replay (N,).
         x: Observations (N, H + 1, *shape).
         u: Actions in [-1, 1] (N, H, m).
         reward: Reward of each step (N, H).
-        terminated: Whether nothing comes after a step, 0 or 1 (N, H); what is behind it belongs to others.
+        terminated: Whether the episode terminated after a step, 0 or 1 (N, H); later entries belong to other episodes.
     """
 
     place: NDArray[np.intp]
@@ -65,10 +65,10 @@ class Sequences(NamedTuple):
 
 
 class Mirror(NamedTuple):
-    """The symmetry of a task whose left and right are alike.
+    """The left-right symmetry of a task.
 
     Attributes:
-        order: Order of an observation's components when left and right are swapped (n,).
+        order: Order of an observation's components with left and right swapped (n,).
         sign: Sign of these components (n,).
         control_sign: Sign of the controls (m,).
     """
@@ -78,7 +78,7 @@ class Mirror(NamedTuple):
     control_sign: NDArray[np.float64]
 
     def mirror_at_random(self, steps: Transitions, random: np.random.Generator) -> Transitions:
-        """Return the steps, each as it was or mirrored, by lot."""
+        """Return the steps, each mirrored with probability one half."""
         chosen = (random.random(len(steps.u)) < 0.5)[:, None]
         later = steps.later and steps.later._replace(x=self._turned(chosen, steps.later.x))
         return steps._replace(
@@ -89,7 +89,7 @@ class Mirror(NamedTuple):
         )
 
     def mirror_sequences_at_random(self, sequences: Sequences, random: np.random.Generator) -> Sequences:
-        """Return the sequences, each as it was or mirrored, by lot."""
+        """Return the sequences, each mirrored with probability one half."""
         chosen = (random.random(len(sequences.u)) < 0.5)[:, None, None]
         return sequences._replace(x=self._turned(chosen, sequences.x), u=self._swerved(chosen, sequences.u))
 
@@ -101,21 +101,21 @@ class Mirror(NamedTuple):
 
 
 class Replay:
-    """A ring of observations in the order they were met: the next one of a step lies behind it and is kept once.
+    """A ring buffer of observations in order; the next observation of a step is the following entry, stored once.
 
-    The last observation of each episode is kept too; no step begins there. Of an observation that is the last few
-    pictures only the newest is kept: those before it are those of the observations before it.
+    The last observation of each episode is stored too, but no step starts there. Of stacked images only the newest is
+    stored; earlier ones are taken from the previous entries.
     """
 
     def __init__(self, capacity: int, shape: tuple[int, ...], controls: int, kind: type[np.generic]) -> None:
-        """Make an empty one.
+        """Create an empty replay.
 
         Args:
-            capacity: Largest number of observations.
-            shape: Shape of an observation: (n,) for a vector, or (pictures, height, width), oldest first, the first
-                one of an episode repeated where there is none before it.
+            capacity: Maximum number of observations.
+            shape: Shape of an observation: (n,) for a vector, or (images, height, width), oldest first; at the start of
+                an episode, the first image is repeated.
             controls: Number of controls.
-            kind: Type of an observation's entries.
+            kind: Data type of an observation.
         """
         self._pictures = shape[0] if len(shape) == 3 else 0
         columns: dict[str, NDArray[Any]] = {
@@ -129,7 +129,7 @@ class Replay:
         self._ring, self._age = ReplayBuffer(capacity, columns), 0
 
     def add(self, x: NDArray[np.generic], u: NDArray[np.float32], reward: float, terminated: bool) -> None:
-        """Add a step that begins at x; what follows it is what is added next."""
+        """Add a step that starts at x; its next observation is the one added next."""
         self._put(x, u, reward, terminated, True)
 
     def end_episode(self, x: NDArray[np.generic]) -> None:
@@ -143,13 +143,13 @@ class Replay:
         self._age += 1
 
     def draw(self, count: int, random: np.random.Generator, ahead: int = 1, discount: float = 1.0) -> Transitions:
-        """Return steps drawn uniformly with replacement; at least one must be complete.
+        """Sample steps uniformly with replacement; at least one step must be complete.
 
         Args:
             count: Number of steps.
-            random: Generator that draws.
-            ahead: Number of steps after which values go on.
-            discount: Discount of these.
+            random: Random generator.
+            ahead: Number of steps before bootstrapping.
+            discount: Discount per step.
         """
         chosen = np.zeros(0, np.intp)
         while len(chosen) < count:
@@ -159,7 +159,7 @@ class Replay:
         return steps if ahead == 1 else steps._replace(later=self._later(chosen[:count], ahead, discount))
 
     def _later(self, index: NDArray[np.intp], ahead: int, discount: float) -> Later:
-        """Return where values of steps go on after so many steps, or where the known part of the episode ends."""
+        """Return the multi-step returns after a number of steps, or at the end of the stored part of the episode."""
         a, capacity = self._ring.columns, self._ring.capacity
         at, goes_on = index, np.ones(len(index), np.bool_)
         gained, weight = np.zeros(len(index)), np.ones(len(index))
@@ -171,7 +171,7 @@ class Replay:
         return Later(gained.astype(np.float32), self._observation(at), weight.astype(np.float32))
 
     def _complete(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return whether a step begins there whose next observation is there, and so are the pictures before it."""
+        """Return whether a complete step starts at an entry, with its next observation and earlier images stored."""
         capacity, seen = self._ring.capacity, self._ring.seen
         newest = (seen - 1) % capacity
         kept = (index - seen) % capacity if seen >= capacity else index
@@ -179,7 +179,7 @@ class Replay:
         return self._ring.columns["begins"][index].astype(np.bool_) & (index != newest) & whole
 
     def _before(self, index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-        """Return how many places an observation's oldest picture is before its newest, at most so many."""
+        """Return the number of entries between an observation's oldest and newest image, up to a maximum."""
         return np.minimum(self._ring.columns["age"][index].astype(np.intp), max(0, most))
 
     def _observation(self, index: NDArray[np.intp]) -> NDArray[np.generic]:
@@ -200,18 +200,18 @@ class Replay:
         )
 
     def everything(self) -> Transitions:
-        """Return all complete steps, oldest episodes first unless it has turned around."""
+        """Return all complete steps, oldest episodes first unless the ring has wrapped around."""
         index = np.arange(len(self._ring))
         return self._take(index[self._complete(index)])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything, for a checkpoint: columns, and the next place, whether it has turned around, and age."""
+        """Return the full state for a checkpoint: columns, next index, whether the ring has wrapped, and age."""
         out = {_PREFIX + name: column for name, column in self._ring.arrays().items() if name in self._ring.columns}
         full, end = divmod(self._ring.seen, self._ring.capacity)
         return {**out, _PREFIX + "end": np.array([end, full > 0, self._age], np.int64)}
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take up what `arrays` returned; others may lie among them."""
+        """Restore the state returned by `arrays`; other arrays are ignored."""
         for name, column in self._ring.columns.items():
             kept = arrays[_PREFIX + name]
             column[: len(kept)] = kept
@@ -220,16 +220,16 @@ class Replay:
 
 
 class SequenceReplay(Replay):
-    """A replay of stretches of H steps, drawn the more often the larger their errors were (Fujimoto et al. 2020).
+    """A replay of H-step sequences, sampled in proportion to their errors (Fujimoto et al. 2020).
 
-    What was not drawn yet comes as often as what had the largest error. A stretch lies within an episode, or ends with
-    one that terminated.
+    New sequences have the priority of the largest error. A sequence lies within an episode, or ends with a terminated
+    one.
 
     Args:
-        capacity: Largest number of observations.
+        capacity: Maximum number of observations.
         shape: Shape of an observation (n,).
         controls: Number of controls.
-        kind: Type of an observation's entries.
+        kind: Data type of an observation.
         length: Number H of steps.
     """
 
@@ -241,11 +241,11 @@ class SequenceReplay(Replay):
 
     @property
     def ready(self) -> bool:
-        """Whether there is a stretch to draw."""
+        """Whether a sequence is available."""
         return bool(self._priority.any())
 
     def draw_sequences(self, count: int, random: np.random.Generator) -> Sequences:
-        """Return stretches drawn by their priorities with replacement; there must be one, see `ready`."""
+        """Sample sequences by priority with replacement; at least one must be available, see `ready`."""
         total = np.cumsum(self._priority[: len(self._ring)])
         found = np.searchsorted(total, random.random(count) * total[-1], side="right")
         first = np.minimum(found, np.searchsorted(total, total[-1]))
@@ -255,7 +255,7 @@ class SequenceReplay(Replay):
         return Sequences(first, a["x"][places], a["u"][steps], a["reward"][steps], a["terminated"][steps])
 
     def set_priority(self, place: NDArray[np.intp], priority: NDArray[np.floating]) -> None:
-        """Set how often stretches (N,) are drawn from now on, relative to others (N,)."""
+        """Set the relative sampling frequency (N,) of sequences (N,)."""
         self._priority[place] = priority
         self._largest = max(self._largest, float(priority.max()))
 
@@ -276,12 +276,12 @@ class SequenceReplay(Replay):
             self._priority[(place - self._length) % capacity] = self._largest
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything, for a checkpoint."""
+        """Return the full state for a checkpoint."""
         kept = {"priority": self._priority[: len(self._ring)], "largest": np.array(self._largest)}
         return {**super().arrays(), **{_PREFIX + name: array for name, array in kept.items()}}
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take up what `arrays` returned; others may lie among them."""
+        """Restore the state returned by `arrays`; other arrays are ignored."""
         super().restore(arrays)
         priority = arrays[_PREFIX + "priority"]
         self._priority[: len(priority)] = priority

@@ -1,4 +1,4 @@
-"""The hyperparameters of a learner, the same for all tasks but for the changes of a benchmark task."""
+"""The hyperparameters of a learner, common to all tasks except for changes by a benchmark task."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ RECIPES: Mapping[str, Mapping[str, int | float | str]] = {
         "model_steps": 3,
     },
 }
-"""Changes of a task's settings by name. "thesis": none, Algorithm 2. "quick": critics of scaled observations, and A and
-B that follow the actor's loss above all; it learns more from as many simulated frames, of vectors. "model_based":
-values and features after MR.Q, whose model looks several steps ahead; it begins later than "quick" and ends higher on
-the cheetah, the task that it was measured on."""
+"""Changes to a task's settings, by recipe name. "thesis": none, Algorithm 2. "quick": critics of scaled observations,
+with A and B mainly trained by the actor loss; learns more from the same number of simulated frames, for vectors.
+"model_based": values and features as in MR.Q, with a multi-step model; starts more slowly than "quick" and ends higher
+on the cheetah, the task on which it was measured."""
 _KINDS = {"int": "a whole number", "float": "a number"}
 _CHOICES = {
     "encoder_loss": ("contrastive", "reconstruction", "reconstruction_prediction", "nothing"),
@@ -60,50 +60,51 @@ class Settings:
     """Hyperparameters of a learner.
 
     Attributes:
-        latent: Dimensions of z.
+        latent: Dimension of z.
         riccati_iterations: Number M of iterations of Algorithm 1.
-        hidden: Units of each hidden layer.
-        depth: Hidden layers of an encoder of vectors, convolutions of one of images.
-        depth_behind: Hidden layers between these and z. With a "model_based" critic the actor's loss trains them, and
-            the model's loss those before them.
-        crop: Rows and columns of an image that the encoder looks at; 0 for vectors.
+        hidden: Number of units of each hidden layer.
+        depth: Number of hidden layers of a vector encoder, or of convolutions of an image encoder.
+        depth_behind: Number of hidden layers between these and z. With a "model_based" critic, the actor loss trains
+            them, and the model loss the preceding ones.
+        crop: Size of the encoder's crop of an image; 0 for vectors.
         learning_rate: Learning rate of all networks.
-        model_weight: Weight of the model loss in the actor's steps; 0 where A and B have steps of their own for it, or
-            none with a "model_based" critic, whose values are in units of the mean reward.
-        batch: Steps in an update.
+        model_weight: Weight of the model loss in the actor's steps; 0 gives A and B separate steps for it, or none with
+            a "model_based" critic, whose values are in units of the mean reward.
+        batch: Number of steps per update.
         discount: Discount gamma of rewards.
-        reward_steps: Rewards in the goal of a value, before the target critic says what follows.
-        first_steps: Actions at random before learning begins.
-        replay: Steps that are remembered.
-        temperature: Temperature alpha to begin with.
-        deviation: Standard deviation of the controls to begin with, before tanh.
-        deviations: "one" deviation for all controls, as in the thesis, or one for "each".
-        critic_rate: Rate at which the target critic follows.
-        encoder_rate: Rate at which the key encoder follows.
-        update_every: Actions before updates.
-        updates: Number of updates at a time.
-        actor_every: Updates of the critic for one of actor and targets.
+        reward_steps: Number of rewards in a value target before bootstrapping from the target critic.
+        first_steps: Number of random actions before training starts.
+        replay: Capacity of the replay in steps.
+        temperature: Initial temperature alpha.
+        deviation: Initial standard deviation of the controls, before tanh.
+        deviations: "one" standard deviation for all controls, as in the thesis, or one for "each".
+        critic_rate: Update rate of the target critic.
+        encoder_rate: Update rate of the key encoder.
+        update_every: Number of actions between updates.
+        updates: Number of consecutive updates.
+        actor_every: Number of critic updates per update of actor and targets.
         noise: Noise eta of Eq. 4.5.
-        average_rate: Rate at which the averaged actor follows.
-        encoder_loss: Loss of the encoder besides the task's: "contrastive" (Eq. 4.4), or that of an autoencoder,
-            "reconstruction", or "reconstruction_prediction", which decodes the model's next z as well (4.3.5); or
-            "nothing", where the task's loss alone trains it.
+        average_rate: Update rate of the averaged actor.
+        encoder_loss: Additional loss of the encoder: "contrastive" (Eq. 4.4); that of an autoencoder, "reconstruction",
+            or "reconstruction_prediction", which also decodes the model's next z (4.3.5); or "nothing", so that only
+            the task's loss trains it.
         policy: "lqr", or "network" as in CURL.
-        critic: "plain" hidden layers, or each with a "layer_norm": values cannot run away, and policies oscillate less;
-            or "categorical", a distribution of values by residual layers, which bears more updates for each action;
-            or "model_based", values of what a model of several steps makes of observations and actions (MR.Q): the
-            actor has a fixed noise then and no temperature, its features are the model's, and the hidden layers behind
-            them and z its own; critic_input, encoder_loss, encoder_rate, noise, actor_every, critic_rate and what
-            concerns deviations are of no effect.
-        critic_input: State that the critics see: the "latent" z, as in the thesis, or the "observation" as the encoder
-            scales it. The second leaves the encoder to the actor's loss and its own: values need not wait for z, and z
-            need not tell values.
-        scale: Scale of vectors that are observed: that of the "task", or the mean and deviation of those "seen" so far.
-        bfloat16: "all" hidden layers are computed so while learning, or "nothing": a third quicker, if processors can.
-        model_steps: Steps that the model of a "model_based" critic looks ahead.
-        renewal: Updates for which its targets stay as they are.
-        exploration: Deviation of the noise that explores, of actions in [-1, 1], with it.
-        cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; of no effect elsewhere.
+        critic: "plain" hidden layers; each with a "layer_norm", which prevents diverging values and reduces
+            oscillations; "categorical", a distribution of values with residual layers, which tolerates more updates per
+            action; or "model_based", values of a multi-step model's embedding of observations and actions (MR.Q): the
+            actor then has fixed noise and no temperature, shares the model's features, and has its own hidden layers
+            after them and its own z; critic_input, encoder_loss, encoder_rate, noise, actor_every, critic_rate and the
+            settings of deviations have no effect.
+        critic_input: Input of the critics: the "latent" z, as in the thesis, or the "observation" scaled by the
+            encoder. With the latter, only the actor loss and its own loss train the encoder: values need not wait for
+            z, and z need not represent values.
+        scale: Scale of vector observations: that of the "task", or mean and standard deviation of those "seen" so far.
+        bfloat16: Use of bfloat16 in training: for "all" hidden layers, a third faster on suitable processors, or for
+            "nothing".
+        model_steps: Number of prediction steps of the model of a "model_based" critic.
+        renewal: Number of updates between its target updates.
+        exploration: Standard deviation of its exploration noise on actions in [-1, 1].
+        cost: Hand-tuned cost of `two_stage_learner`, "Q1" to "Q4"; no effect elsewhere.
     """
 
     latent: int = 50
@@ -171,5 +172,5 @@ class Settings:
             raise KoopmanError("encoder_loss reconstruction_prediction needs a model: policy must be lqr")
 
     def as_json(self) -> dict[str, Any]:
-        """Return all of them by name."""
+        """Return all settings by name."""
         return asdict(self)

@@ -1,1 +1,1 @@
-"""Learners and how they act (thesis Algorithm 2 and its ablations)."""
+"""Learners and their actors (thesis Algorithm 2 and its ablations)."""

@@ -21,7 +21,7 @@ from koopman_lqr_controller.training.networks.networks import TorchEncoder, dens
 from koopman_lqr_controller.training.settings import Settings
 
 _LOG_DEVIATIONS = (-5.0, 1.0)
-"""Between which the logarithm of the controls' deviation stays."""
+"""Bounds of the logarithm of the controls' standard deviation."""
 
 
 class AgentInterface(NamedTuple):
@@ -30,10 +30,10 @@ class AgentInterface(NamedTuple):
     Attributes:
         shape: Shape of one observation.
         controls: Number of controls.
-        middle: Value of an observation that becomes 0; broadcasts to `shape`.
-        unit: Distance above the middle that becomes 1.
+        middle: Value of an observation that maps to 0; broadcasts to `shape`.
+        unit: Distance from `middle` that maps to 1.
         goal: Observation of the goal, x_ref; None for z_ref = 0.
-        kind: Type of an observation's entries.
+        kind: Data type of an observation.
     """
 
     shape: tuple[int, ...]
@@ -44,7 +44,7 @@ class AgentInterface(NamedTuple):
     kind: type[np.generic] = np.float32
 
     def encoder(self, settings: Settings) -> TorchEncoder:
-        """Return an untrained psi."""
+        """Create an untrained encoder psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
         if settings.scale == "seen":  # each component has a scale of its own
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
@@ -54,12 +54,12 @@ class AgentInterface(NamedTuple):
 
 
 class Actor(nn.Module, ABC):
-    """A squashed Gaussian policy on z; its deterministic part is deployed.
+    """A squashed Gaussian policy on z; only its deterministic part is deployed.
 
     Attributes:
         encoder: Embedding psi of observations.
-        raw_deviation: Input of the tanh that bounds the logarithm of the controls' deviation, one for all (1,) or for
-            each (m,).
+        raw_deviation: Unbounded parameter of the log standard deviation of the controls, shared (1,) or per control
+            (m,).
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings) -> None:
@@ -80,16 +80,16 @@ class Actor(nn.Module, ABC):
 
     @abstractmethod
     def deploy(self) -> LatentController | NetworkPolicy:
-        """Return the deterministic policy as it stands, without torch."""
+        """Return the current deterministic policy without torch."""
 
     @property
     def log_deviation(self) -> Tensor:
-        """Logarithm of the deviation before tanh (1,) or (m,); unlike a clamp it has a gradient everywhere."""
+        """Log standard deviation before tanh (1,) or (m,), bounded by a tanh, which always has a gradient."""
         low, high = _LOG_DEVIATIONS
         return low + 0.5 * (high - low) * (torch.tanh(self.raw_deviation) + 1.0)
 
     def sample(self, z: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return actions in [-1, 1] (N, m) and the logarithm of their density (N,)."""
+        """Sample actions in [-1, 1] (N, m), and return them with their log density (N,)."""
         mean = self.mean(z)
         log_deviation = self.log_deviation
         noise = torch.randn(mean.shape, generator=generator).to(mean.device)
@@ -103,8 +103,8 @@ class LqrActor(Actor):
     """The regulator of a learnt model (Eq. 4.9).
 
     Attributes:
-        lqr: A, B, Q, R.
-        goal: x_ref (1, *shape), empty where there is none.
+        lqr: Learnt A, B, Q, R.
+        goal: Goal observation x_ref (1, *shape); empty without a goal.
     """
 
     goal: Tensor
@@ -120,14 +120,14 @@ class LqrActor(Actor):
         return self.encoder(self.goal)[0] if len(self.goal) else torch.zeros_like(self.lqr.log_Q)
 
     def mean(self, z: Tensor) -> Tensor:
-        """Return u of the linear law (N, m), before tanh; K is what the thesis calls G."""
+        """Return u of the linear law (N, m), before tanh; K is G in the thesis."""
         K, k = self.lqr.gain(self.z_ref())
         return k - z @ K.T
 
     def deploy(self) -> LatentController:
-        """Return the deterministic controller as it stands, without torch.
+        """Return the current deterministic controller without torch.
 
-        z_ref is that which was learnt with: where hidden layers are computed in bfloat16, it has their rounding.
+        z_ref is the one used in training; with hidden layers in bfloat16, it includes their rounding.
         """
         with torch.no_grad():
             z_ref = self.z_ref()
@@ -137,7 +137,7 @@ class LqrActor(Actor):
 
 
 class NetworkActor(Actor):
-    """Two hidden layers, as large as the critics': there is no model, and nothing that control theory could say.
+    """A model-free policy with two hidden layers as large as the critics', without control-theoretic structure.
 
     Attributes:
         layers: Layers of the policy.
@@ -159,7 +159,7 @@ class NetworkActor(Actor):
 
 
 def make_actor(interface: AgentInterface, settings: Settings) -> LqrActor | NetworkActor:
-    """Return the untrained actor that the settings ask for."""
+    """Create the untrained actor selected by the settings."""
     return NetworkActor(interface, settings) if settings.policy == "network" else LqrActor(interface, settings)
 
 

@@ -1,4 +1,4 @@
-"""What agents share: an actor that acts and its average, scales of what is observed, and steps of optimisers."""
+"""Base class of agents: an actor with its average, observation scales, and optimiser steps."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from koopman_lqr_controller.training.settings import Settings
 
 
 class Agent(nn.Module, ABC):
-    """Networks that are learnt, and their updates.
+    """Networks to learn, and their updates.
 
     Args:
         interface: Observations and controls.
         settings: Hyperparameters of networks, replay and updates.
-        seed: Seed of all weights.
+        seed: Random seed of all weights.
         device: Device of the networks.
 
     Attributes:
-        actor: Actor as it is now.
-        averaged: The exponential average of `actor` over updates.
+        actor: Current actor.
+        averaged: Exponential average of `actor` over updates.
         optimizers: Optimisers by name.
         updates: Number of updates so far.
     """
@@ -55,15 +55,15 @@ class Agent(nn.Module, ABC):
 
     @abstractmethod
     def _make_networks(self, interface: AgentInterface) -> None:
-        """Make what learns beside the actor; random numbers are the seed's."""
+        """Create all networks besides the actor; random numbers come from the seed."""
 
     @abstractmethod
     def make_replay(self, interface: AgentInterface, capacity: int) -> Replay:
-        """Return an empty replay that `learn` can draw from."""
+        """Create an empty replay for `learn`."""
 
     @abstractmethod
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
-        """Return an action (m,) for an observation (*shape), with the noise that explores."""
+        """Return an action (m,) for an observation (*shape), with exploration noise."""
 
     @abstractmethod
     def learn(
@@ -73,27 +73,27 @@ class Agent(nn.Module, ABC):
 
         Args:
             replay: Replay of `make_replay`.
-            random: Generator that draws from it.
+            random: Generator for sampling from the replay.
             generator: Generator of all noise, on the CPU.
-            mirror: Symmetry of the task; None where it has none.
+            mirror: Symmetry of the task, or None.
         """
 
     @abstractmethod
     def _scaled_encoders(self) -> Iterable[TorchEncoder]:
-        """Return all encoders that scale what is observed."""
+        """Return all encoders with an observation scale."""
 
     @property
     def lqr(self) -> LatentLqr | None:
-        """A, B, Q, R; None where a network acts."""
+        """A, B, Q, R; None for a network actor."""
         return self.actor.lqr if isinstance(self.actor, LqrActor) else None
 
     def meet(self, x: NDArray[np.generic]) -> None:
-        """Take note of an observation (*shape) that was met; of an effect where these make the scale."""
+        """Record an observation (*shape), which matters only if the scale is estimated from observations."""
         if self.scale is not None:
             self._add_to_scale(torch.from_numpy(np.asarray(x, np.float64)))
 
     def _rescale(self, x: Tensor) -> Tensor:
-        """Add an observation (n,) to the scale and give this to all encoders; return the number of observations."""
+        """Add an observation (n,) to the scale and update all encoders; return the number of observations."""
         assert self.scale is not None
         self.scale.add(x)
         self.scale.give(self._scaled_encoders())
@@ -104,12 +104,12 @@ class Agent(nn.Module, ABC):
         return torch.optim.Adam(list(parameters), lr=rate, fused=True, capturable=self._device.type == "cuda")
 
     def _step(self, losses: Mapping[str, Tensor]) -> None:
-        """Go down losses, by the names of their optimisers, with one backward pass."""
+        """Minimise losses, given by optimiser name, with one backward pass."""
         gradient_step([self.optimizers[name] for name in losses], list(losses.values()))
         self._note({f"{name}_loss": loss.detach() for name, loss in losses.items()})
 
     def _note(self, figures: Mapping[str, Tensor]) -> None:
-        """Add figures of an update to the sums that `take_losses` gives the means of."""
+        """Add metrics of an update to the sums averaged by `take_losses`."""
         for name, figure in figures.items():
             if name not in self._noted:
                 self._noted[name] = (torch.zeros_like(figure), torch.zeros_like(figure))
@@ -118,7 +118,7 @@ class Agent(nn.Module, ABC):
             count.add_(1.0)
 
     def take_losses(self) -> dict[str, float]:
-        """Return the mean losses since the last call by name, and the policy's `entropy` where it has one."""
+        """Return the mean losses since the last call by name, and the policy's `entropy` if it has one."""
         means = {name: float(total / count) for name, (total, count) in self._noted.items() if count}
         for each in chain.from_iterable(self._noted.values()):
             each.zero_()

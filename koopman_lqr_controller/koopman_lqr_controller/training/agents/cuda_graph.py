@@ -1,4 +1,4 @@
-"""Functions that a GPU repeats as a CUDA graph: launching their kernels one by one takes longer than running them."""
+"""Runs repeated GPU functions as CUDA graphs, because launching single kernels takes longer than running them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import torch
 from torch import Tensor
 
 _EAGER_CALLS = 3
-"""Calls before one is recorded; libraries make their workspaces in them."""
+"""Number of calls before a graph is recorded, in which libraries allocate their workspaces."""
 
 
 class Graphed:
-    """A function of tensors that always does the same steps, whatever the numbers in them.
+    """A function of tensors that always performs the same operations, regardless of their values.
 
-    It draws no random numbers, and what it changes it changes in place. Shapes are those of the first call.
+    The function must not draw random numbers, and must modify tensors in place. Shapes are those of the first call.
 
     Args:
-        function: Takes tensors of the device and returns one.
-        device: Device; on a CPU the function is called as it is.
+        function: Function from tensors on the device to a tensor.
+        device: Device; on a CPU, the function is called directly.
     """
 
     def __init__(self, function: Callable[..., Tensor], device: torch.device) -> None:
@@ -26,7 +26,7 @@ class Graphed:
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self, *given: Tensor) -> Tensor:
-        """Return what the function does, for tensors of any device; on a GPU the next call writes over it."""
+        """Return the function's result for tensors on any device; on a GPU, the next call overwrites it."""
         if self._device.type == "cpu":
             return self._function(*given)
         if self._graph is None and self._calls < _EAGER_CALLS:
@@ -43,7 +43,7 @@ class Graphed:
         return self._answer
 
     def _beside(self, *given: Tensor) -> Tensor:
-        """Call the function on a stream of its own, as it is when it is recorded."""
+        """Call the function on a separate stream, as during recording."""
         stream, now = torch.cuda.Stream(), torch.cuda.current_stream()  # type: ignore[no-untyped-call]
         stream.wait_stream(now)
         with torch.cuda.stream(stream):

@@ -1,9 +1,8 @@
-"""Learning a latent policy from recorded drives: Algorithm 2 with the driver's commands in place of a reward.
+"""Learns a latent policy from recorded drives: Algorithm 2 with the driver's commands in place of a reward.
 
-Encoder, model and differentiable LQR are those of the learner that lives in an environment, and so are the contrastive
-loss (Eq. 4.4) and the model loss (Eq. 4.7). What SAC would find out by trying is not in a recording, and no critic can
-be trusted with actions that nobody did; so the LQR's action is drawn to the recorded one instead. A mirrored drive is
-as true as the drive itself, and doubles it.
+Encoder, model, differentiable LQR, contrastive loss (Eq. 4.4) and model loss (Eq. 4.7) are the same as in online
+learning. Since a recording does not contain exploration and critics are unreliable for actions not in the data, the
+LQR's action is fitted to the recorded one instead. Mirrored drives are equally valid and double the data.
 """
 
 from __future__ import annotations
@@ -34,16 +33,17 @@ class ImitationSettings:
     """Settings of imitation.
 
     Attributes:
-        latent: Dimensions of z.
-        hidden: Units of each of the two hidden layers.
+        latent: Dimension of z.
+        hidden: Number of units of each of the two hidden layers.
         riccati_iterations: Number M of iterations of Algorithm 1.
         updates: Number of updates.
-        batch: Steps in one.
+        batch: Number of steps per batch.
         learning_rate: Learning rate of all parameters.
-        noise: Noise eta of Eq. 4.5, in all losses: a recording is short, and its scans are noisy themselves.
-        model_weight: Weight of the model loss, which reaches the encoder too; a large one would make all latents equal.
-        key_rate: Rate at which the key encoder follows.
-        seed: Seed of weights and batches.
+        noise: Noise eta of Eq. 4.5, used in all losses because recordings are short and noisy.
+        model_weight: Weight of the model loss, which also trains the encoder; a large weight would collapse the
+            latents.
+        key_rate: Update rate of the key encoder.
+        seed: Random seed of weights and batches.
     """
 
     latent: int = 16
@@ -64,18 +64,18 @@ def imitate(
     settings: ImitationSettings | None = None,
     on_progress: Callable[[], object] = lambda: None,
 ) -> LatentPolicy:
-    """Return the policy as learnt, with the gain of a few Riccati iterations; `offline.refit` makes it consolidated.
+    """Return the learnt policy, with the gain of a few Riccati iterations; `offline.refit` consolidates it.
 
-    Its commands span what was commanded in the drives, the same to both sides.
+    Its commands span the range of recorded commands, symmetrically to both sides.
 
     Args:
-        segments: x by `observation`, and commands.
+        segments: Segments with x from `observation`, and commands.
         observation: Observation of a scan and odometry.
-        settings: Settings of learning; the defaults where left out.
+        settings: Training settings; the default ones if omitted.
         on_progress: Called after each update.
 
     Raises:
-        KoopmanError: there are fewer steps than in a batch, or a command never changes.
+        KoopmanError: There are fewer steps than in a batch, or a command never changes.
     """
     settings = settings or ImitationSettings()
     steps = sum(len(segment) for segment in segments)
@@ -145,7 +145,7 @@ class _Imitation:
         self._generator = torch.Generator().manual_seed(settings.seed)
 
     def update(self) -> None:
-        """Learn from one batch."""
+        """Train on one batch."""
         settings, data, generator = self._settings, self._data, self._generator
         rows = torch.randint(len(data.x), (settings.batch,), generator=generator)
         x, u = data.x[rows], data.u[rows]
@@ -159,7 +159,7 @@ class _Imitation:
         follow(self._keys, self._encoder, settings.key_rate)
 
     def deploy(self) -> LatentController:
-        """Return what was learnt, without torch."""
+        """Return the learnt policy without torch."""
         lqr = self._lqr
         A, B, Q, R = (
             each.detach().numpy().astype(np.float64) for each in (lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp())

@@ -1,4 +1,4 @@
-"""Learners that act and remember: that of thesis Algorithm 2, and what it shares with others."""
+"""Learners with a replay: that of thesis Algorithm 2, and its base class."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ Act = Callable[[NDArray[np.generic]], NDArray[np.float32]]
 
 
 class ReplayLearner(ABC):
-    """A learner that keeps the steps it has met, one chunk of a run at a time.
+    """A learner that stores its steps in a replay, and learns one chunk of a run at a time.
 
     Args:
         problem: Task to learn.
         environment: Environment to act in.
-        seed: Seed of all random numbers.
+        seed: Random seed.
 
     Attributes:
         interface: Observations and controls of the agent.
-        replay: Steps that were met.
+        replay: Stored steps.
     """
 
     replay: Replay
@@ -60,26 +60,26 @@ class ReplayLearner(ABC):
 
     @abstractmethod
     def _begin(self, random: np.random.Generator) -> tuple[Act | None, Callable[[], None]]:
-        """Return how a chunk acts, None for at random, and what updates the networks."""
+        """Return the behaviour policy of a chunk, None for random actions, and the agent to update."""
 
     def take_losses(self) -> dict[str, float]:
         """Return the mean losses since the last call, by name."""
         return {}
 
     def _meet(self, x: NDArray[np.generic]) -> None:  # noqa: B027 - most learners need none
-        """Take note of an observation that was met."""
+        """Record an observation."""
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act, beginning with a fresh episode, and learn for one chunk.
+        """Act, starting with a new episode, and learn for one chunk.
 
         Args:
-            chunk: Number of the chunk; with the seed it decides all that is random.
-            done: Number of actions before it.
-            actions: Number of actions to do; the last one ends its episode.
-            episodes: Number of episodes to end with; 0 for any number.
+            chunk: Index of the chunk, which together with the seed determines all random numbers.
+            done: Number of actions before the chunk.
+            actions: Number of actions; the last one ends its episode.
+            episodes: Number of episodes after which the chunk ends; 0 for no limit.
 
         Returns:
-            Actions done and episodes begun.
+            Numbers of actions executed and of episodes started.
         """
         settings, environment, random = self._settings, self._environment, np.random.default_rng((self._seed, chunk))
         act, update = self._begin(random)
@@ -111,19 +111,19 @@ class ReplayLearner(ABC):
         return {**state_arrays(self._modules, self._optimizers), **self.replay.arrays()}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Restore the state that `arrays` returned."""
+        """Restore the state returned by `arrays`."""
         restore_state(self._modules, self._optimizers, arrays)
         self.replay.restore(arrays)
 
 
 class KoopmanLearner(ReplayLearner):
-    """An agent, what it has met, and where it acts; its settings decide whether it is that of Algorithm 2.
+    """An agent with replay and environment; with suitable settings, the learner of Algorithm 2.
 
     Args:
         problem: Task to learn.
         environment: Environment to act in.
-        seed: Seed of all random numbers.
-        capacity: Largest number of observations in the replay.
+        seed: Random seed.
+        capacity: Maximum number of observations in the replay.
         device: Device of the networks.
     """
 
@@ -154,11 +154,11 @@ class KoopmanLearner(ReplayLearner):
         return lambda x: self._agent.act(x, generator), update
 
     def take_losses(self) -> dict[str, float]:
-        """Return the mean losses since the last call, by name, and the policy's entropy where it has one."""
+        """Return the mean losses since the last call, by name, and the policy's entropy if it has one."""
         return self._agent.take_losses()
 
     def candidates(self) -> dict[str, LatentController | NetworkPolicy]:
-        """Return the average of the actor, and the actor as it is now."""
+        """Return the averaged actor and the current actor."""
         return {"averaged": self._agent.averaged.deploy(), "actor": self._agent.actor.deploy()}
 
     def arrays(self) -> Arrays:
@@ -166,6 +166,6 @@ class KoopmanLearner(ReplayLearner):
         return {**super().arrays(), _UPDATES: np.array(self._agent.updates)}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Restore the state that `arrays` returned."""
+        """Restore the state returned by `arrays`."""
         super().restore(arrays)
         self._agent.updates = int(arrays[_UPDATES].item())

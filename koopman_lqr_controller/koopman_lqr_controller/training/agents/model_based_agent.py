@@ -1,9 +1,8 @@
-"""The differentiable LQR with values and a representation after MR.Q (Fujimoto et al. 2025).
+"""The differentiable LQR with values and a representation in the style of MR.Q (Fujimoto et al. 2025).
 
-A model of several steps makes the encoder's features and an embedding of features with actions; values see nothing but
-that embedding. Of the features the actor makes z by layers of its own, and its loss trains these, A, B, Q and R. So the
-representation learns from what happens at every step, values from a representation that keeps still while they follow,
-and the law from both.
+A multi-step model trains the encoder's features and an embedding of features with actions, the only input of the
+values. The actor maps the features to z by its own layers, and its loss trains these, A, B, Q and R. The representation
+therefore learns from every step, the values from a temporarily fixed representation, and the law from both.
 """
 
 from __future__ import annotations
@@ -30,20 +29,20 @@ from koopman_lqr_controller.training.settings import Settings
 
 _CRITIC_DEPTH = 3
 _REPRESENTATION_SHARE = 1.0 / 3.0
-"""Learning rate of the representation over that of values and actor."""
+"""Learning rate of the representation relative to that of values and actor."""
 _TARGET_NOISE, _LARGEST_TARGET_NOISE = 0.2, 0.3
-"""Deviation and bound of what is added to the actions that a target's value is of (TD3; Fujimoto et al. 2018)."""
+"""Standard deviation and bound of the noise added to the target's actions (TD3; Fujimoto et al. 2018)."""
 _PRIORITY_POWER = 0.4
 _LEAST_ERROR = 1.0
-"""Errors of values below this, in units of the scale of rewards, are drawn equally often."""
+"""Value error, in units of the reward scale, below which all samples are drawn equally often."""
 _LEAST_REWARD_SCALE = 1e-8
-"""Scale of rewards that were all zero so far; goals of the first that is not must stay finite."""
+"""Reward scale while all rewards have been zero, which keeps the first non-zero targets finite."""
 _INPUT_WEIGHT = 1e-5
-"""Weight of the square of u before tanh, so that it does not run away where tanh is flat."""
+"""Weight of the squared u before tanh, which keeps u from drifting where tanh is flat."""
 
 
 class _Batch(NamedTuple):
-    """Stretches of H steps as the losses see them."""
+    """Sequences of H steps in the form required by the losses."""
 
     x: Tensor
     u: Tensor
@@ -52,16 +51,15 @@ class _Batch(NamedTuple):
 
 
 class ModelBasedAgent(Agent):
-    """Networks that are learnt, and their updates.
+    """Networks to learn, and their updates.
 
     Attributes:
-        representation: Embedding of the encoder's features with actions, and the model behind it.
-        critic: Values of these embeddings, in units of `reward_scale`.
-        target_actor: Actor with its encoder as it was at the last renewal, but for the scale of observations, which
-            is that of now.
-        target_representation: The representation then.
-        target_critic: The critic then.
-        reward_scale: Mean absolute reward at the last renewal, and at the one before (2,).
+        representation: Embedding of the encoder's features with actions, and its model.
+        critic: Values of the embeddings, in units of `reward_scale`.
+        target_actor: Actor with its encoder at the last target update, but with the current observation scale.
+        target_representation: Representation at the last target update.
+        target_critic: Critic at the last target update.
+        reward_scale: Mean absolute reward at the last two target updates (2,).
     """
 
     reward_scale: Tensor
@@ -95,14 +93,14 @@ class ModelBasedAgent(Agent):
         )
 
     def make_replay(self, interface: AgentInterface, capacity: int) -> SequenceReplay:
-        """Return an empty replay of stretches."""
+        """Create an empty replay of sequences."""
         return SequenceReplay(capacity, interface.shape, interface.controls, interface.kind, self.settings.model_steps)
 
     def _scaled_encoders(self) -> Iterable[TorchEncoder]:
         return (self.actor.encoder, self.averaged.encoder, self.target_actor.encoder)
 
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
-        """Return an action (m,) for an observation (*shape), with the noise that explores."""
+        """Return an action (m,) for an observation (*shape), with exploration noise."""
         u = self._mean(torch.from_numpy(np.asarray(x, np.float32))[None])[0].cpu()
         noise = self.settings.exploration * torch.randn(u.shape, generator=generator)
         action: NDArray[np.float32] = (u + noise).clamp(-1.0, 1.0).numpy()
@@ -115,7 +113,7 @@ class ModelBasedAgent(Agent):
     def learn(
         self, replay: Replay, random: np.random.Generator, generator: torch.Generator, mirror: Mirror | None
     ) -> None:
-        """Do one update; one that renews the targets first trains the representation as often as they are kept."""
+        """Do one update; at a target update, first train the representation as often as the targets are kept."""
         assert isinstance(replay, SequenceReplay)
         if not replay.ready:
             return
@@ -132,7 +130,7 @@ class ModelBasedAgent(Agent):
     def _draw(
         self, replay: SequenceReplay, random: np.random.Generator, mirror: Mirror | None
     ) -> tuple[NDArray[np.intp], _Batch]:
-        """Return stretches and their places in the replay (N,)."""
+        """Return sampled sequences and their indices in the replay (N,)."""
         drawn = replay.draw_sequences(self.settings.batch, random)
         if mirror is not None:
             drawn = mirror.mirror_sequences_at_random(drawn, random)
@@ -157,7 +155,7 @@ class ModelBasedAgent(Agent):
         return loss.detach()
 
     def _improve_values_and_law(self, *tensors: Tensor) -> Tensor:
-        """Train critic and law on a batch and noise of the target's actions (N, m); return the values' errors (N,)."""
+        """Train critic and law on a batch with noise (N, m) on the target's actions; return the value errors (N,)."""
         batch = _Batch(*tensors[:-1])
         with torch.no_grad():
             features = self.actor.encoder.features(batch.x[:, 0])
@@ -167,7 +165,7 @@ class ModelBasedAgent(Agent):
         return errors
 
     def _learn_values(self, batch: _Batch, features: Tensor, noise: Tensor) -> Tensor:
-        """Train the critic on goals of several steps; return the larger error of both values (N,)."""
+        """Train the critic on multi-step targets; return the larger error of the two values (N,)."""
         with torch.no_grad():
             goal = self._goal(batch, noise)
             pair = self.representation(features, batch.u[:, 0])
@@ -176,7 +174,7 @@ class ModelBasedAgent(Agent):
         return (values.detach() - goal).abs().amax(dim=0)
 
     def _goal(self, batch: _Batch, noise: Tensor) -> Tensor:
-        """Return rewards of some steps and the target's value of what follows (N,), in units of the reward's scale."""
+        """Return the multi-step value target (N,), in units of the reward scale."""
         settings, actor = self.settings, self.target_actor
         scale, scale_before = self.reward_scale
         gained, weight = torch.zeros(len(batch.u), device=self._device), torch.ones(len(batch.u), device=self._device)
@@ -189,7 +187,7 @@ class ModelBasedAgent(Agent):
         return (gained + weight * value * scale_before) / scale
 
     def _learn_law(self, batch: _Batch, features: Tensor) -> None:
-        """Train z, A, B, Q and R, or the network in their place, on the values of their actions."""
+        """Train z, A, B, Q and R (or the network in their place) to maximise the values of their actions."""
         encoder, weight = self.actor.encoder, self.settings.model_weight
         z = encoder.latent(features)
         u = self.actor.mean(z)

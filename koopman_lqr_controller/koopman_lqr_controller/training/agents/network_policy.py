@@ -1,4 +1,4 @@
-"""A deterministic policy that is one network, for comparison with the linear models."""
+"""A deterministic policy given by a single network, for comparison with the linear models."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ class _Header(Schema):
 
 @dataclass(frozen=True)
 class NetworkPolicy:
-    """A policy with the action tanh(u), u = network(x); roll-outs use u as the lifted state z.
+    """A policy with the action tanh(u), u = network(x); roll-outs use u as the latent state z.
 
     Attributes:
-        encoder: The network, from x to u.
-        manifest: Origin, method and figures of the policy: plain JSON values.
+        encoder: Network from x to u.
+        manifest: Provenance, method and metrics of the policy: plain JSON values.
     """
 
     encoder: Encoder
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
     def project(self, z: Array) -> Array:
-        """Return u."""
+        """Return u unchanged."""
         return z
 
     def control(self, z: Array) -> Array:
-        """Return u."""
+        """Return u unchanged."""
         return z
 
     def saturate(self, u: Array) -> Array:
@@ -53,10 +53,10 @@ class NetworkPolicy:
 
     @classmethod
     def load(cls, path: Path) -> NetworkPolicy:
-        """Load a policy that `save` wrote.
+        """Load a policy written by `save`.
 
         Raises:
-            KoopmanError: the file is missing or is something else; the message names it.
+            KoopmanError: The file is missing or is not such a policy; the message names it.
         """
         with raise_as(KoopmanError, path):
             tensors, header = load_arrays(path)

@@ -1,4 +1,4 @@
-"""Soft actor-critic of Stable-Baselines3 on the same tasks, as a baseline without a model."""
+"""Stable-Baselines3's soft actor-critic on the same tasks, as a model-free baseline."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _NOUGHT, _ONE = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 class SacLearner:
-    """SAC with the numbers of the task's settings, where the library has them; its replay holds all actions of a run.
+    """SAC with the task's hyperparameters where the library has them; the replay stores all actions of a run.
 
     Raises:
-        KoopmanError: the task shows pictures.
+        KoopmanError: The task has image observations.
     """
 
     method = "soft actor-critic (Stable-Baselines3)"
@@ -54,7 +54,7 @@ class SacLearner:
         self._logger = listen(self._model)
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:  # noqa: ARG002 - it counts
-        """Act and learn for one chunk; return actions done and episodes begun."""
+        """Act and learn for one chunk; return the numbers of actions executed and episodes started."""
         model = self._model
         model.set_random_seed(int(np.random.SeedSequence((self._seed, chunk)).generate_state(1)[0]) % 2**31)
         model._last_obs = None  # makes `learn` begin a fresh episode
@@ -67,7 +67,7 @@ class SacLearner:
         return self._logger.take() | entropy_of(self._model)
 
     def candidates(self) -> dict[str, NetworkPolicy]:
-        """Return the actor as it is now."""
+        """Return the current actor."""
         actor = self._model.actor
         layers = deploy_layers(nn.Sequential(*actor.latent_pi, actor.mu))
         shape = self._model.observation_space.shape
@@ -79,19 +79,19 @@ class SacLearner:
         return {**model_arrays(self._model), _SAMPLES: np.array([self._model.num_timesteps])}
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Restore the state that `arrays` returned."""
+        """Restore the state returned by `arrays`."""
         restore_model(self._model, arrays)
         self._model.num_timesteps = int(arrays[_SAMPLES].item())
 
 
 class _Counter(BaseCallback):
-    """Counts episodes, and ends learning after so many.
+    """Counts episodes, and ends learning after a given number.
 
     Args:
-        episodes: 0 for any number.
+        episodes: Maximum number of episodes; 0 for no limit.
 
     Attributes:
-        begun: Number of episodes, the one under way included.
+        begun: Number of episodes, including the current one.
     """
 
     def __init__(self, episodes: int) -> None:

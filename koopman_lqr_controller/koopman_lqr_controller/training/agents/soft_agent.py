@@ -1,15 +1,15 @@
-"""The learner of thesis 4.2.4 (Algorithm 2): SAC around a differentiable LQR in a latent space of its own.
+"""The learner of thesis 4.2.4 (Algorithm 2): SAC with a differentiable LQR in its own latent space.
 
-Each update trains the critics and the encoder on Bellman's equation, the encoder on a loss of its own (Eq. 4.4), A and
-B on the model loss (Eq. 4.7); every other one trains encoder, A, B, Q and R on the actor's (Eq. 4.10). The model loss
-leaves the encoder alone: it would make all latent states equal. The actor's passes into it through the control, not
-through what the critics say of z; convolutions it leaves alone, they are most of the work. Losses of different
-parameters go back together. Of images so do Bellman's and the encoder's own, brought to one size: values grow to
-hundreds, and the encoder's own loss would no longer be heard.
+Each update trains the critics and the encoder on the Bellman loss, the encoder on its own loss (Eq. 4.4), and A and B
+on the model loss (Eq. 4.7); every other update trains encoder, A, B, Q and R on the actor loss (Eq. 4.10). The model
+loss does not train the encoder, because it would collapse the latent states. The actor loss reaches the encoder through
+the control only, not through the critics' dependence on z, and excludes convolutions, which dominate the cost. Losses
+of disjoint parameters share a backward pass. For images, so do the Bellman loss and the encoder's own loss, scaled to
+equal size, because values grow to hundreds and would dominate.
 
-Settings change this: critics of observations leave the encoder to the actor's loss and its own, and the model loss may
-join the actor's with a weight. Adam's steps have one size however small a loss is, so a model loss with steps of its
-own pulls at A and B as hard as the actor's.
+Settings can change this: with critics of observations, only the actor loss and the encoder's own loss train the
+encoder, and the model loss may be added to the actor loss with a weight. Since Adam's step size is independent of the
+loss scale, a model loss with separate steps affects A and B as strongly as the actor loss.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from koopman_lqr_controller.training.settings import Settings
 
 
 class _Batch(NamedTuple):
-    """Steps as the losses see them.
+    """Steps in the form required by the losses.
 
     Attributes:
-        x: Observations (N, *shape), windows of images.
+        x: Observations (N, *shape); cropped if images.
         u: Actions (N, m).
-        x_next: Observations that followed.
-        gained: Rewards until values go on (N,).
-        weight: Discount of what follows then (N,).
-        x_later: Observations then; `x_next` itself where they go on after one step.
-        query: Observations that the encoder's own loss sees.
-        key: The same, augmented in another way.
+        x_next: Next observations.
+        gained: Discounted rewards before bootstrapping (N,).
+        weight: Discount of the bootstrap value (N,).
+        x_later: Observations at the bootstrap; `x_next` for one-step returns.
+        query: Observations for the encoder's own loss.
+        key: The same observations with another augmentation.
     """
 
     x: Tensor
@@ -59,13 +59,13 @@ class _Batch(NamedTuple):
 
 
 class SoftAgent(Agent):
-    """Networks that are learnt, and their updates.
+    """Networks to learn, and their updates.
 
     Attributes:
         critic: Values of states and actions.
-        encoder_loss: The encoder's own; None for none.
+        encoder_loss: The encoder's own loss, or None.
         key_encoder: Momentum encoder of contrastive keys and of the target critic.
-        target: Slowly following copy of the critic that targets are computed from.
+        target: Target critic, a slowly updated copy.
         log_temperature: Logarithm of the temperature alpha.
     """
 
@@ -95,14 +95,14 @@ class SoftAgent(Agent):
         self.encoder_loss = make_encoder_loss(self.actor.encoder, self.settings)
 
     def make_replay(self, interface: AgentInterface, capacity: int) -> Replay:
-        """Return an empty replay of steps."""
+        """Create an empty replay of steps."""
         return Replay(capacity, interface.shape, interface.controls, interface.kind)
 
     def _scaled_encoders(self) -> Iterable[TorchEncoder]:
         return (self.actor.encoder, self.averaged.encoder, self.key_encoder)
 
     def act(self, x: NDArray[np.generic], generator: torch.Generator) -> NDArray[np.float32]:
-        """Return an action (m,) for an observation (*shape), with the noise that explores."""
+        """Return an action (m,) for an observation (*shape), with exploration noise."""
         with torch.no_grad():
             z = self.actor.encoder(torch.from_numpy(np.asarray(x, np.float32))[None].to(self._device))
             action: NDArray[np.float32] = self.actor.sample(z, generator)[0][0].cpu().numpy()
@@ -111,13 +111,13 @@ class SoftAgent(Agent):
     def learn(
         self, replay: Replay, random: np.random.Generator, generator: torch.Generator, mirror: Mirror | None
     ) -> None:
-        """Do one update with steps of a replay."""
+        """Do one update with steps from a replay."""
         settings = self.settings
         steps = replay.draw(settings.batch, random, settings.reward_steps, settings.discount)
         self.update(steps if mirror is None else mirror.mirror_at_random(steps, random), generator)
 
     def update(self, data: Transitions, generator: torch.Generator) -> None:
-        """Learn from a batch of steps.
+        """Train on a batch of steps.
 
         Args:
             data: Batch of steps.
@@ -140,7 +140,7 @@ class SoftAgent(Agent):
         self.updates += 1
 
     def _augmented(self, data: Transitions, generator: torch.Generator) -> _Batch:
-        """Return a batch as the losses see it: windows of images, as in CURL, and noise for a loss that contrasts."""
+        """Return a batch in the form required by the losses: crops of images, and noise for a contrastive loss."""
         x, u, reward, x_next, terminated = (torch.from_numpy(it).to(self._device) for it in data[:5])
         gained, x_later, weight = reward, x_next, self.settings.discount * (1.0 - terminated)
         if data.later is not None:
@@ -155,7 +155,7 @@ class SoftAgent(Agent):
         return _Batch(x, u, x_next, gained, weight, x_later, query, key)
 
     def _learn_values(self, batch: _Batch, z: Tensor, z_next: Tensor, goal: Tensor) -> None:
-        """Train the critics on goals (N,), the encoder on its own loss, A and B where their steps are their own."""
+        """Train the critics on targets (N,), the encoder on its own loss, and A and B if they have separate steps."""
         encoder = self.actor.encoder
         losses = {"critic": self.critic.loss(z if self._sees_latent else encoder.normalise(batch.x), batch.u, goal)}
         if self.lqr is not None and not self.settings.model_weight:
@@ -172,7 +172,7 @@ class SoftAgent(Agent):
             self._step({"encoder": self.encoder_loss(encoder(batch.query), seen)})
 
     def _learn_law(self, batch: _Batch, features: Tensor, z_next: Tensor, generator: torch.Generator) -> None:
-        """Train the encoder, A, B, Q, R and the temperature on the actor's loss, images' convolutions left alone."""
+        """Train the encoder (without convolutions), A, B, Q, R and the temperature on the actor loss."""
         encoder, weight = self.actor.encoder, self.settings.model_weight
         z = encoder.latent(features.detach()) if self._images else encoder(batch.x)
         losses = self._actor_losses(z, batch.x, generator)
@@ -181,13 +181,13 @@ class SoftAgent(Agent):
         self._step(losses)
 
     def _soft_value(self, z: Tensor, x: Tensor, generator: torch.Generator) -> Tensor:
-        """Return the values (N,) of states by the target critics, which see latent ones as the key encoder does."""
+        """Return the target critics' values of states (N,), with latent states from the key encoder."""
         u, log_density = self.actor.sample(z, generator)
         state = self.key_encoder(x) if self._sees_latent else self.key_encoder.normalise(x)
         return self.target(state, u).amin(dim=0) - self.log_temperature.exp() * log_density
 
     def _actor_losses(self, z: Tensor, x: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-        """Return the losses of actor and temperature; they share no parameter."""
+        """Return the losses of actor and temperature, which share no parameters."""
         u, log_density = self.actor.sample(z, generator)
         self.critic.requires_grad_(False)
         state = z.detach() if self._sees_latent else self.actor.encoder.normalise(x)
@@ -202,6 +202,6 @@ class SoftAgent(Agent):
 
 
 def _as_large_as(first: Tensor, second: Tensor, z: Tensor) -> Tensor:
-    """Return what the second of two losses of z is to be multiplied by to pull at z as strongly as the first."""
+    """Return the factor that scales the second of two losses of z to the first one's gradient size."""
     pulls = (torch.autograd.grad(loss, z, retain_graph=True)[0].norm() for loss in (first, second))
     return next(pulls) / (next(pulls) + torch.finfo(z.dtype).tiny)

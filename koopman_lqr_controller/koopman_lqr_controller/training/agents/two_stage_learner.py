@@ -1,8 +1,9 @@
 """Model-oriented Koopman control (thesis 4.3.3): first the model from data, then its LQR with hand-tuned costs.
 
-z is the observation and, after it, what a network makes of it: costs can be put on what has a meaning. The network is
-trained to be predicted one step ahead; or not at all, then its random features are the user-defined functions of EDMD.
-The data are as many actions as other methods get, drawn at random; A and B are their least-squares fit in the end.
+z is the observation followed by a network's features, so that costs can refer to meaningful components. The network is
+trained for one-step prediction, or not at all, in which case its random features are the user-defined functions of
+EDMD. The data consists of random actions, as many as for the other methods; A and B are finally fitted by least
+squares.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class LiftedModel(nn.Module):
 
     Attributes:
         encoder: Embedding psi of observations.
-        linear: A and B; its costs are not used.
+        linear: A and B; the costs are not used.
     """
 
     def __init__(self, interface: AgentInterface, settings: Settings) -> None:
@@ -43,7 +44,7 @@ class LiftedModel(nn.Module):
         self.linear = LatentLqr(interface.shape[0] + settings.latent, interface.controls, settings.riccati_iterations)
 
     def lift(self, x: Tensor) -> Tensor:
-        """Return z (N, n)."""
+        """Return the lifted state z (N, n)."""
         return torch.cat((self.encoder.normalise(x), self.encoder(x)), dim=1)
 
     def deploy(self) -> Encoder:
@@ -54,10 +55,10 @@ class LiftedModel(nn.Module):
 class TwoStageLearner(ReplayLearner):
     """A learner that fits a model to random actions, then solves for its LQR.
 
-    Its replay must hold all actions of a run. Unless `learnt`, psi stays as random as it begins.
+    The replay must hold all actions of a run. Unless `learnt`, psi keeps its random initial weights.
 
     Raises:
-        KoopmanError: the task shows pictures, has no goal, or no hand has tuned costs for it.
+        KoopmanError: The task has image observations, no goal, or no hand-tuned costs.
     """
 
     def __init__(
@@ -102,12 +103,12 @@ class TwoStageLearner(ReplayLearner):
         self._losses.append(loss.detach())
 
     def take_losses(self) -> dict[str, float]:
-        """Return the mean loss of the model since the last call; nothing where it is fitted at once."""
+        """Return the mean model loss since the last call; empty if the model is fitted at once."""
         losses, self._losses = self._losses, []
         return {"loss": float(torch.stack(losses).mean())} if losses else {}
 
     def candidates(self) -> dict[str, LatentController]:
-        """Return the LQR of the least-squares model; where that has none, of one whose modes all fade."""
+        """Return the LQR of the least-squares model or, if there is none, of a contracted model."""
         encoder, data = self._model.deploy(), self.replay.everything()
         u = data.u.astype(np.float64)
         z_ref = encoder(self._goal)
@@ -131,4 +132,4 @@ HAND_TUNED = {
         "Q4": ((10.0, 60.0, 60.0, 10.0, 10.0), 0.1),
     }
 }
-"""By task: of the observation's entries (position, cos, sin, speed, turn rate), and of all others (Table 4.2)."""
+"""Costs by task: of the observation's entries (position, cos, sin, speed, turn rate), and of all others (Table 4.2)."""

@@ -1,7 +1,7 @@
-"""An ablation of a model's prediction error in a corridor: the same starts under one disturbance after the other.
+"""Ablation of a model's prediction error in a corridor: the same starts under different disturbances.
 
-Each state is looked at twice, which tells what the sensor's noise alone makes any model miss; and the linear model that
-is fitted to the very steps tells what no linear model of these latents could have known.
+Each state is observed twice, which gives the error floor due to sensor noise; a linear model fitted to the same steps
+gives the error floor of any linear model of these latents.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ def ablate_disturbances(
     disturbances: Mapping[str, Conditions] = DISTURBANCES,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
-    """Return what a policy's model misses.
+    """Return the prediction errors of a policy's model under disturbances.
 
     Args:
         loop: Closed loop of the policy.
-        make: Makes the corridor of a robot.
-        noises: Standard deviations of the noise in the actions; judged apart, as the change in a step depends on them.
-        episodes: For each of them, the same starts under all disturbances.
+        make: Creates the corridor for a robot.
+        noises: Standard deviations of the action noise, evaluated separately because the change per step depends on
+            them.
+        episodes: Number of episodes per noise level, with the same starts under all disturbances.
         disturbances: Conditions of the robot by name.
-        on_progress: Called with the name of each part before it begins.
+        on_progress: Called with the name of each part before it starts.
 
     Returns:
-        For each disturbance and noise `name`, `noise`, `steps` and, all of them errors of one step over that of
-        persistence, `model`, `law`, the error in K z, `linear_floor` and `noise_floor`.
+        For each disturbance and noise level: `name`, `noise`, `steps` and one-step errors relative to persistence:
+            `model`, `law` (the error in K z), `linear_floor` and `noise_floor`.
     """
     out = []
     for name, conditions in disturbances.items():

@@ -1,4 +1,4 @@
-"""An analysis as a page to read: what was found, what each picture means, and what was left out."""
+"""The analysis as a readable page: findings, explanations of the figures, and omissions."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _OTHER = {"true_poles": "poles of the true system", "latents": "spread of the la
 
 
 def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
-    """Return the page as Markdown.
+    """Format the page as Markdown.
 
     Args:
         found: Findings of `analyse`.
         name: Name of the policy's file.
-        pictures: Their names, by that of their part.
+        pictures: File names of the figures, by part.
     """
     out = [f"# {name}", _about(found)]
     for part, title in _TITLES.items():
@@ -49,7 +49,7 @@ def page(found: Found, name: str, pictures: Mapping[str, str]) -> str:
 
 
 def _alternative(title: str, found: Found, part: str) -> str:
-    """Return the alternative text of a picture: its finding, with the number."""
+    """Return the alternative text of a figure: its finding with the number."""
     sentence = re.split(r"(?<!Fig)\. ", _TEXTS[part](found).partition("\n")[0])[0].rstrip(".")
     return title if set("[]|") & set(sentence) else sentence
 

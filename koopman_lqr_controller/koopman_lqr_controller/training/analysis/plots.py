@@ -1,4 +1,4 @@
-"""The pictures of an analysis (thesis Fig. 4.4-4.7), drawn from its JSON."""
+"""The figures of an analysis (thesis Fig. 4.4-4.7), drawn from its JSON."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from matplotlib.ticker import MaxNLocator
 Found = Mapping[str, Any]
 
 _SHOWN = (1e-6, 1e4)
-"""Costs to go, over that of the start: what grows further is seen to."""
+"""Cost-to-go relative to the start above which curves are cut off."""
 _MOST = 16
-"""Components of the observation that are named in a picture."""
+"""Maximum number of observation components labelled in a figure."""
 _PICTURES = 3
-"""Camera pictures that are shown."""
+"""Number of camera images to show."""
 
 
 def draw_all(found: Found, folder: Path) -> dict[str, str]:
-    """Draw what was found into a folder, and return the names of the pictures by that of their part."""
+    """Draw all findings to a folder, and return the names of the figures by part."""
     out = {}
     for part, (draw, kind) in _DRAWN.items():
         if part in found:
@@ -164,4 +164,4 @@ _DRAWN: Mapping[str, tuple[Callable[[Found, Path], None], str]] = {
     "tsne": (_tsne, "png"),
     "closed_loop": (_closed_loop, "svg"),
 }
-"""Functions that draw each part, and kinds of their pictures."""
+"""Drawing functions and figure kinds, by part."""

@@ -1,4 +1,4 @@
-"""The analysis of a policy as JSON: from its file, its environment, and recorded or simulated episodes."""
+"""The analysis of a policy as JSON, from its file, its environment, and recorded or simulated episodes."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from koopman_lqr_controller.training.environments.corridor import Corridor
 
 TOLERANCES = tuple(float(10.0**power) for power in np.arange(-16.0, 0.0, 0.25))
 HORIZON = 20
-"""Steps that the model's error is told for."""
+"""Number of steps for which the model's error is reported."""
 _EQUILIBRIA = {"cartpole_swingup": 4, "cartpole_swingup_pixels": 4}
-"""Tasks of the suite whose goal is the state of zeros, and how many these are."""
+"""Tasks of the suite whose goal is the zero state, with its dimension."""
 _SEED = 7_000_000
 _NOISE = 0.5
 _POINTS = 400
 _PATCH = 8
 _LOOKED_AT = 200
-"""Observations that Jacobians are taken at."""
+"""Number of observations at which Jacobians are computed."""
 _PART_STEP = 5e-3
-"""Differences of a Jacobian, as a part of a component's spread; encoders are of single precision."""
+"""Step size of a Jacobian relative to a component's spread, limited by single-precision encoders."""
 
 
 def analyse(
@@ -47,14 +47,14 @@ def analyse(
     episodes: int = 6,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Return what can be said of a policy.
+    """Return the full analysis of a policy.
 
     Args:
-        policy: KoopmanPolicy of either kind.
-        world: Its environment, or an error that says why there is none.
-        recorded: Drives from bags; where there are some, prediction and observations are judged by them.
-        episodes: To live through in the world, the same number again with noise.
-        on_progress: Called with the name of each part before it begins.
+        policy: Koopman policy of either kind.
+        world: The policy's environment, or an error with the reason why there is none.
+        recorded: Drives from bags, used for prediction and observations if given.
+        episodes: Number of episodes to run in the environment, and again with noise.
+        on_progress: Called with the name of each part before it starts.
     """
     loop, parts, left_out = policy.closed_loop_model(), dict[str, Any](), dict[str, str]()
 
@@ -222,7 +222,7 @@ def _observations(
 
 
 def _patches(loop: ClosedLoopModel, x: NDArray[Any]) -> dict[str, Any]:
-    """Return what hiding patches costs in a few pictures, spread over what was seen."""
+    """Return the cost of hiding patches in a few images, spread over the observations."""
     chosen = x[np.linspace(0, len(x) - 1, 4).astype(int)].astype(np.float64)
     costs = [linear_analysis.patch_costs(loop.latent, each, loop.Q, _PATCH, float(np.median(each))) for each in chosen]
     return {"patch": _PATCH, "pictures": chosen[:, -1].tolist(), "patch_costs": [each.tolist() for each in costs]}
@@ -251,7 +251,7 @@ def _tsne(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[str,
 
 
 def _closed_loop(loop: ClosedLoopModel, quiet: Sequence[EpisodeTrajectory]) -> dict[str, Any]:
-    """Return how the real system fared under the policy, and what the lifted model alone would have promised."""
+    """Return the behaviour of the real system under the policy, and the prediction of the lifted model alone."""
     real, lifted = [], []
     for episode in quiet:
         z = loop.latent(episode.x)
@@ -270,5 +270,5 @@ def _closed_loop(loop: ClosedLoopModel, quiet: Sequence[EpisodeTrajectory]) -> d
 
 
 def _pairs(values: linear_analysis.Poles) -> list[list[float]]:
-    """Return complex numbers as JSON."""
+    """Convert complex numbers to JSON pairs."""
     return [[float(value.real), float(value.imag)] for value in values]

@@ -1,4 +1,4 @@
-"""The environment that a policy's manifest names, and episodes of the policy in it."""
+"""The environment named in a policy's manifest, and episodes of the policy in it."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class EpisodeTrajectory:
 
 
 class LiftedCorridor(Corridor):
-    """The corridor as a two-stage policy sees it: observations are Psi, actions span the policy's own limits.
+    """The corridor as observed by a two-stage policy: observations are Psi, actions span the policy's own limits.
 
     Raises:
-        KoopmanError: the task is no longer as it was when the policy was made.
+        KoopmanError: The task has changed since the policy was made.
     """
 
     def __init__(self, policy: EdmdPolicy, conditions: Conditions | None = None) -> None:
@@ -55,16 +55,16 @@ class LiftedCorridor(Corridor):
         self.robot_interface = RobotInterface(self.robot_interface.observation, policy.u_low, policy.u_high)
 
     def observe(self) -> Vector:
-        """Return Psi of the present state, with noise and drop-out of its own in each call."""
+        """Return Psi of the current state, with new noise and drop-out in each call."""
         return self._policy.observables.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
 
 def make_world(policy: KoopmanPolicy, conditions: Conditions | None = None) -> AnyEnvironment:
-    """Return the environment that a policy is of; with conditions, its corridor with a robot of these.
+    """Create the environment of a policy; if conditions are given, its corridor with such a robot.
 
     Raises:
-        KoopmanError: its manifest names none that there is, or the task has no corridor.
-        ModuleNotFoundError: a simulator is not installed.
+        KoopmanError: The manifest names no existing environment, or the task has no corridor.
+        ModuleNotFoundError: A simulator is not installed.
     """
     task = str(policy.manifest.get("task"))
     if isinstance(policy, EdmdPolicy):
@@ -82,14 +82,14 @@ def run_episode(
     noise: float = 0.0,
     look: Callable[[], None] = lambda: None,
 ) -> EpisodeTrajectory:
-    """Return one episode's trajectory.
+    """Run one episode and return its trajectory.
 
     Args:
-        loop: Closed loop that acts.
+        loop: Closed loop of the policy.
         environment: Environment to act in.
         seed: Seed of the episode and of the noise.
-        noise: Standard deviation of what is added to the action, which spans -1 to 1: it excites the model.
-        look: Called in each state, after it was observed.
+        noise: Standard deviation of the noise added to the action in [-1, 1], to excite the model.
+        look: Called in each state after the observation.
     """
     random, half = np.random.default_rng(seed), 0.5 * (loop.high - loop.low)
     controls: list[Array] = []

@@ -1,4 +1,4 @@
-"""The true system behind a policy: its linearisation, without and with the policy in the loop (thesis Fig. 4.6)."""
+"""Linearisation of the true system behind a policy, with and without the policy in the loop (thesis Fig. 4.6)."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _BEAMS = 360
 
 @dataclass(frozen=True)
 class StraightCorridor:
-    """A unicycle that does at once what it is told. State: offset to the left [m], heading [rad], speed, turn rate.
+    """A unicycle that executes commands immediately. State: lateral offset [m], heading [rad], speed, turn rate.
 
-    Where it is along the corridor changes nothing and is left out.
+    The position along the corridor is irrelevant and omitted.
 
     Attributes:
-        width: Between the walls [m].
-        dt: Time for which a command is held [s].
-        range_max: Longest range of the lidar, which sits in the robot's middle [m].
+        width: Distance between the walls [m].
+        dt: Hold time of a command [s].
+        range_max: Maximum range of the lidar, mounted at the robot's centre [m].
     """
 
     width: float
@@ -50,11 +50,11 @@ class StraightCorridor:
 
     @property
     def geometry(self) -> ScanGeometry:
-        """The lidar's."""
+        """Geometry of the lidar."""
         return ScanGeometry(_BEAMS, 0.0, 2.0 * np.pi / _BEAMS, 0.0, self.range_max)
 
     def scan(self, state: Array) -> NDArray[np.float32]:
-        """Return the exact ranges (beams,) [m]; infinite where the wall is out of reach."""
+        """Return the exact ranges (beams,) [m]; infinite if the wall is out of range."""
         across = np.sin(np.arange(_BEAMS) * (2.0 * np.pi / _BEAMS) + state[1])
         gap = np.where(across > 0.0, 0.5 * self.width - state[0], 0.5 * self.width + state[0])
         ranges = gap / np.maximum(np.abs(across), 1e-9)
@@ -64,25 +64,25 @@ class StraightCorridor:
 Step = Callable[[Array], Array]
 
 _SETTLING = 400
-"""Steps in which a closed loop must come to rest."""
+"""Number of steps within which a closed loop must come to rest."""
 _AT_REST = 1e-4
-"""A state that changes by less in a step is at rest; encoders are of single precision."""
+"""Change per step below which a state counts as at rest; encoders are single precision."""
 _CLOSED_SIZE = 2e-3
-"""Differences of the closed loop: large against the encoder's rounding, small against what is nonlinear."""
+"""Step size for the closed loop: large compared with the encoder's rounding, small compared with nonlinearity."""
 _RESTLESS = "With the policy the real system does not come to rest within the steps that were tried."
 _PICTURES = "With the policy there are none: it sees pictures, and small differences of a state change no pixel."
 
 
 @dataclass(frozen=True)
 class TrueSystem:
-    """A linearisation.
+    """Result of a linearisation.
 
     Attributes:
-        about: Name of the system that was linearised.
-        open_poles: Without the policy (n,).
-        closed_poles: With it, around where it comes to rest (n,); None where there are none.
-        rest: That state (n,); None where there is none.
-        why: There are none with it, in a sentence; empty where there are.
+        about: Name of the linearised system.
+        open_poles: Poles without the policy (n,).
+        closed_poles: Poles with the policy, around its rest state (n,), or None.
+        rest: Rest state (n,), or None.
+        why: Reason why there are no closed-loop poles, as a sentence; empty otherwise.
     """
 
     about: str
@@ -93,12 +93,12 @@ class TrueSystem:
 
 
 def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -> TrueSystem:
-    """Return the linearisation of a task of the control suite at its goal, and with a policy that sees states.
+    """Linearise a control suite task at its goal, without and with a policy that observes states.
 
     Args:
         environment: Environment of the task.
-        goal: Positions and velocities (n,); an equilibrium.
-        policy: Policy that acts.
+        goal: Goal positions and velocities (n,), an equilibrium.
+        policy: Policy in the loop.
     """
 
     def held(state: Array, action: Array) -> Array:
@@ -119,12 +119,12 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
 
 
 def corridor_system(policy: KoopmanPolicy, width: float, dt: float, speed: float) -> TrueSystem:
-    """Return the linearisation of a unicycle with a lidar in the middle of a straight corridor.
+    """Linearise a unicycle with a lidar in the middle of a straight corridor.
 
     Args:
-        policy: Policy that drives.
+        policy: Policy in the loop.
         width: Width of the corridor [m].
-        dt: Time for which a command is held [s].
+        dt: Hold time of a command [s].
         speed: Speed of the linearisation without the policy [m/s].
     """
     corridor = StraightCorridor(width, dt)

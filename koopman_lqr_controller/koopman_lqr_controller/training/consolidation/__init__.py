@@ -1,1 +1,1 @@
-"""Consolidation: a learnt controller becomes the LQR of its own model."""
+"""Consolidation: converts a learnt controller to the LQR of its own model."""

@@ -1,4 +1,4 @@
-"""The search for the smallest regulator that keeps a learnt policy's return and predicts."""
+"""Search for the smallest regulator that keeps a learnt policy's return and predicts well."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from koopman_lqr_controller.training.consolidation.distillation import Distillat
 
 @dataclass(frozen=True)
 class Candidate:
-    """A regulator that was tried.
+    """A candidate regulator.
 
     Attributes:
-        policy: Regulator in coordinates of its own.
-        settings: Settings of its training.
-        share: Factor on the weights of prediction.
-        score: Mean return in the episodes that candidates are chosen by.
-        lost: Return lost against the learnt policy: the mean and one standard error.
-        error: One-step error of its model over that of persistence.
+        policy: Regulator in its own coordinates.
+        settings: Training settings.
+        share: Factor on the prediction weights.
+        score: Mean return in the selection episodes.
+        lost: Upper estimate of the return lost relative to the learnt policy: mean plus one standard error.
+        error: One-step error of the model relative to persistence.
     """
 
     policy: DistilledPolicy
@@ -48,7 +48,7 @@ class Candidate:
     error: float
 
     def meets(self, learnt_score: float, config: ConsolidationConfig) -> dict[str, bool]:
-        """Return whether return and error are as wanted.
+        """Return whether return and error meet the limits.
 
         Args:
             learnt_score: Mean return of the learnt policy in the same episodes.
@@ -57,7 +57,7 @@ class Candidate:
         return {"return": self.lost <= config.tolerance * abs(learnt_score), "error": self.error <= config.error}
 
     def row(self) -> dict[str, Any]:
-        """Return settings and figures as JSON."""
+        """Return settings and metrics as JSON."""
         return {
             "latent": len(self.policy.controller.Q),
             "hidden": self.settings.hidden,
@@ -69,10 +69,10 @@ class Candidate:
 
 
 def check_regulator(controller: LatentController) -> None:
-    """Refuse a controller that is not the LQR of its own model.
+    """Raise if a controller is not the LQR of its own model.
 
     Raises:
-        KoopmanError: the closed loop is not stable, or the Riccati residual is too large.
+        KoopmanError: The closed loop is unstable, or the Riccati residual is too large.
     """
     if not (controller.spectral_radius < 1.0 and controller.residual < LARGEST_RESIDUAL):
         found = f"spectral radius {controller.spectral_radius:.4f}, Riccati residual {controller.residual:.1e}"
@@ -85,9 +85,9 @@ class CandidateSearch:
     Attributes:
         learnt: Learnt controller, with a finite horizon.
         config: Settings of the search.
-        learnt_score: Mean return of the learnt controller in the episodes that candidates are chosen by.
+        learnt_score: Mean return of the learnt controller in the selection episodes.
         tried: Candidates so far.
-        all_episodes: Episodes so far, those of evaluations included.
+        all_episodes: Episodes so far, including evaluations.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class CandidateSearch:
 
     @property
     def seen(self) -> list[Episode]:
-        """Episodes that models are fitted to; every fifth is kept from them."""
+        """Episodes used to fit models; every fifth one is held out."""
         return [episode for number, episode in enumerate(self._episodes) if number % 5]
 
     def run(self, acting: Policy, index: int) -> None:
@@ -124,18 +124,18 @@ class CandidateSearch:
         self.all_episodes += fresh
 
     def exploratory_candidate(self) -> Policy | None:
-        """Return a candidate that makes the mistakes that the next round is to learn from, None where there is none."""
+        """Return a candidate whose mistakes the next round learns from, or None."""
         found = self._try(self.config.exploratory_latent, self.config.distillation, self.config.prediction[0])
         return found[0].policy if found else None
 
     def choose(self) -> Candidate:
-        """Return the smallest candidate that keeps the return and predicts.
+        """Return the smallest candidate that keeps the return and predicts well.
 
-        More and more dimensions are tried, then more thoroughly. Where none does both, return comes first: it is the
-        best predictor of those that keep it; where none does that, what keeps it best.
+        Increasing dimensions are tried, then more thorough training. If no candidate satisfies both, the return takes
+        precedence: the best predictor among those that keep it, or else the one with the smallest loss.
 
         Raises:
-            KoopmanError: none of them has a regulator.
+            KoopmanError: No candidate has a regulator.
         """
         config, tried = self.config, list[Candidate]()
         for settings, sizes in (
@@ -158,7 +158,7 @@ class CandidateSearch:
         return max(tried, key=rank)
 
     def _try_size(self, latent: int, settings: DistillationSettings) -> list[Candidate]:
-        """Return what was tried, that which may do last: less and less prediction may save the return."""
+        """Return the candidates of one size, acceptable one last, with decreasing weight on prediction."""
         tried: list[Candidate] = []
         for share in self.config.prediction:
             for candidate in self._try(latent, settings, share):
@@ -173,7 +173,7 @@ class CandidateSearch:
         return candidate.meets(self.learnt_score, self.config)
 
     def _try(self, latent: int, settings: DistillationSettings, share: float) -> list[Candidate]:
-        """Return a candidate, none where it has no regulator: another may have one."""
+        """Return a candidate, or None if it has no regulator."""
         try:
             candidate = self._candidate(latent, settings, share)
         except KoopmanError as error:
@@ -192,7 +192,7 @@ class CandidateSearch:
         return Candidate(found, settings, share, float(returns.mean()), lost, self._error(found))
 
     def measure(self, chosen: DistilledPolicy) -> list[Episode]:
-        """Return fresh noisy episodes of the learnt and the chosen policy, that nothing was chosen by."""
+        """Run new noisy episodes of the learnt and the chosen policy, not used for selection."""
         self._report_progress("the model's error")
         noises = np.linspace(0.0, self.config.noise, max(2, self.config.episodes // 2)).tolist()
         first = self._first["measure"]
@@ -204,18 +204,18 @@ class CandidateSearch:
         ]
 
     def distribution(self, chosen: DistilledPolicy) -> LatentDistribution:
-        """Return where a policy may be trusted: what the noisy episodes went through."""
+        """Return the training distribution for a policy, from the noisy episodes."""
         return fit_distribution_to_episodes(chosen.controller.predict, *projected(chosen.project, self._episodes))
 
     def report(self, controller: LatentController) -> list[Episode]:
-        """Return fresh episodes without noise."""
+        """Run new episodes without noise."""
         self._report_progress(f"{self.config.report} fresh episodes")
         return evaluate(controller, self._environment, self.config.report, self._first["report"])
 
     def _returns(self, policy: Policy) -> Array:
-        """Return those of the episodes (N,) that candidates are chosen by, every other one disturbed.
+        """Return the returns in the selection episodes (N,), with a disturbance in every other one.
 
-        The episodes are the same for all of them.
+        The episodes are the same for all candidates.
         """
         first = self._first["choose"]
         episodes = [
@@ -230,5 +230,5 @@ class CandidateSearch:
 
 
 def loss_bound(losses: Array) -> float:
-    """Return the mean of losses (N,) and one standard error: what fell once in some episodes may fall more often."""
+    """Return the mean of losses (N,) plus one standard error, since rare failures may be underrepresented."""
     return float(losses.mean() + losses.std(ddof=min(1, len(losses) - 1)) / np.sqrt(len(losses)))

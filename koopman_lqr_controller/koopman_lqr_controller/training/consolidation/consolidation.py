@@ -1,11 +1,12 @@
-"""After learning: a controller that is the LQR of its own model (beyond the thesis).
+"""Converts a learnt controller to the LQR of its own model after training (beyond the thesis).
 
-What learning leaves is a gain after a few Riccati iterations, on a model that serves the gain more than prediction: the
-closed loop of that model is often not even stable. Consolidation keeps what the policy does and makes the rest true. It
-runs noisy episodes and finds coordinates, a model, Q and R in which the infinite-horizon LQR does the same and the
-model predicts (`distillation`). First it does so for an exploratory candidate, whose episodes hold new mistakes. It
-then takes as few latent dimensions as keep the return and predict. The law is in units of actions, cut off at -1 and 1,
-so that the loop of the proof is the loop that runs, and it proves itself: its gain is computed whenever it is loaded.
+Learning yields a gain after a few Riccati iterations, for a model that serves the gain more than prediction: its closed
+loop is often not even stable. Consolidation keeps the policy's behaviour and makes model and regulator consistent. It
+runs noisy episodes and finds coordinates, a model, Q and R for which the infinite-horizon LQR acts the same and the
+model predicts well (`distillation`). This is first done for an exploratory candidate, whose episodes contain new
+mistakes. The result has the smallest latent dimension that keeps the return and predicts well. The law is in units of
+actions, clipped to [-1, 1], so the analysed loop is the deployed loop, and its gain is recomputed whenever it is
+loaded.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ class ConsolidationResult:
     """Result of a consolidation.
 
     Attributes:
-        controller: With the infinite horizon.
-        distribution: Distribution of the latents in the noisy episodes that its model was fitted to and chosen by.
-        figures: Learnt and consolidated returns, and what control theory says, as JSON.
+        controller: Infinite-horizon controller.
+        distribution: Distribution of the latents in the noisy episodes used for fit and selection.
+        figures: Learnt and consolidated returns, and control-theoretic metrics, as JSON.
     """
 
     controller: LatentController
@@ -61,20 +62,19 @@ def consolidate(
     on_progress: Callable[[str], None] = lambda _: None,
     reported: Sequence[Episode] | None = None,
 ) -> ConsolidationResult:
-    """Return the regulator that does what a learnt controller does.
+    """Return the regulator equivalent to a learnt controller.
 
     Args:
         learnt: Learnt controller, with a finite horizon.
-        environment: Environment that it was learnt in.
-        config: Settings of consolidation; the defaults where left out.
-        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
-        seed: Seed of all episodes.
+        environment: Training environment.
+        config: Settings of consolidation; the default ones if omitted.
+        goal: Whether z_ref is a goal; otherwise the mean of the observed latents is used.
+        seed: Random seed of all episodes.
         on_progress: Called with a line before each part and after each candidate.
-        reported: Fresh episodes of the learnt controller from `REPORT_SEED` on, where there are some already; else it
-            is evaluated.
+        reported: Existing new episodes of the learnt controller from `REPORT_SEED` on; by default they are run.
 
     Raises:
-        KoopmanError: no candidate has a regulator, or the controller is consolidated already.
+        KoopmanError: No candidate has a regulator, or the controller is already consolidated.
     """
     if learnt.horizon is None:
         raise KoopmanError("this policy is the regulator of its own model already: give the one that `learn` made")
@@ -91,7 +91,7 @@ def consolidate(
 
 
 def _figures(search: CandidateSearch, chosen: Candidate, reported: Sequence[Episode] | None) -> dict[str, Any]:
-    """Return the figures of the chosen candidate beside those of the learnt controller, as JSON."""
+    """Return the metrics of the chosen candidate and of the learnt controller, as JSON."""
     learnt, controller = search.learnt, chosen.policy.controller
     measured = search.measure(chosen.policy)
     before = search.report(learnt) if reported is None else reported
@@ -116,14 +116,14 @@ def _figures(search: CandidateSearch, chosen: Candidate, reported: Sequence[Epis
 
 
 def regulator_figures(policy: DistilledPolicy, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return what shows that a policy is the LQR of its own model, and that the model predicts.
+    """Return metrics showing that a policy is the LQR of its own model, and that the model predicts well.
 
     Args:
-        policy: As it was found.
-        episodes: With the features of the learnt policy.
+        policy: Policy to check.
+        episodes: Episodes with the features of the learnt policy.
 
     Raises:
-        KoopmanError: it is not.
+        KoopmanError: The policy is not the LQR of its own model.
     """
     controller = policy.controller
     check_regulator(controller)
@@ -135,7 +135,7 @@ def regulator_figures(policy: DistilledPolicy, episodes: Sequence[Episode]) -> d
 
 
 def _errors(controller: LatentController, z: Sequence[Array], actions: Sequence[Array], steps: int) -> dict[str, Any]:
-    """Return how far the model is off over persistence: in z, after so many steps where more than one, and in K z."""
+    """Return the model's errors relative to persistence: in z after one or more steps, and in K z."""
     errors = horizon_errors(controller.predict, z, actions, steps)
     return {
         "error_over_persistence": errors[0],
@@ -152,18 +152,18 @@ def consolidate_policy(
     command: str = "",
     **how: Any,
 ) -> tuple[LatentPolicy, dict[str, Any]]:
-    """Return the consolidated form of a learnt policy, and its figures.
+    """Return the consolidated form of a learnt policy, and its metrics.
 
     Args:
         file: File of the learnt policy.
-        problem: Task that it was learnt in.
-        environment: Environment of the task, to evaluate in.
+        problem: Task of the learnt policy.
+        environment: Evaluation environment of the task.
         config: Settings of the consolidation.
-        command: Command that the policy records; the learnt one's where it is left out.
-        how: Other arguments of `consolidate`.
+        command: Command recorded in the policy; by default that of the learnt policy.
+        how: Further arguments of `consolidate`.
 
     Raises:
-        KoopmanError: the file holds no learnt policy, or there is no regulator.
+        KoopmanError: The file has no learnt policy, or there is no regulator.
     """
     learnt = load_latent(file)
     found = consolidate(learnt.controller, environment, config, problem.goal is not None, **how)
@@ -178,10 +178,10 @@ def consolidate_policy(
 
 
 def load_latent(file: Path) -> LatentPolicy:
-    """Return a learnt policy.
+    """Load a learnt policy.
 
     Raises:
-        KoopmanError: the file cannot be read, or its policy is of another kind.
+        KoopmanError: The file cannot be read, or its policy is of another kind.
     """
     policy = load_policy(file)
     if not isinstance(policy, LatentPolicy):

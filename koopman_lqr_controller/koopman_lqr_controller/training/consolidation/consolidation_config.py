@@ -1,4 +1,4 @@
-"""The settings of consolidation, and where the seeds of its episodes begin."""
+"""The settings of consolidation, and the first seeds of its episodes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 from koopman_lqr_controller.training.consolidation.distillation import DistillationSettings
 
 REPORT_SEED = 5_000_000
-"""First seed of the fresh episodes that returns are reported on."""
+"""First seed of the new episodes used to report returns."""
 SEEDS = {"fit": 3_000_000, "choose": 4_000_000, "report": REPORT_SEED, "measure": 6_000_000}
-"""First seeds of the episodes to learn from, to choose by, and to report returns and errors on."""
+"""First seeds of the episodes for training, for selection, and for reporting returns and errors."""
 _FILE_NAMES = {"max_return_loss": "hopeless", "exploratory_latent": "scout"}
-"""Older names of fields, which the files of finished and unfinished runs hold."""
+"""Former names of fields, used in the files of finished and unfinished runs."""
 
 
 @dataclass(frozen=True)
@@ -20,24 +20,25 @@ class ConsolidationConfig:
     """Settings of consolidation.
 
     Attributes:
-        episodes: Number of episodes of each round; a fifth is kept from the fit, to choose by the model's error.
-        noise: Largest standard deviation added to u, the least is none.
-        rounds: The first with the learnt policy, the others with a candidate, which the learnt policy tells what it
-            would have done.
-        exploratory_latent: Latent dimensions of that candidate.
-        sizes: Latent dimensions that are tried in the end.
-        max_return_loss: Part of the learnt return; a candidate that loses more is not tried with less weight on
-            prediction.
-        tolerance: Part of the learnt return that may be lost, with the standard error that the loss is known to, in all
-            episodes and in those that are not disturbed.
-        error: one-step error over persistence that the model may have; a third is wanted, and what is chosen by is a
-            little better than what is fresh.
-        candidates: Episodes of each candidate.
-        disturbance: Standard deviation added to u in every other one of them: what walks on an edge falls.
-        prediction: Factors on the weights of prediction, tried one after the other until the return is kept.
-        report: Fresh episodes, the same for the learnt policy and for what comes of it.
-        distillation: Settings of the candidates' training.
-        thorough: Settings for the larger half of the sizes, where no other candidate does all that is wanted.
+        episodes: Number of episodes per round; a fifth is held out to select by the model's error.
+        noise: Maximum standard deviation of the noise added to u; the minimum is 0.
+        rounds: Number of rounds: the first with the learnt policy, the others with a candidate, labelled by the learnt
+            policy's actions.
+        exploratory_latent: Latent dimension of that candidate.
+        sizes: Latent dimensions tried in the end.
+        max_return_loss: Fraction of the learnt return above which the loss of a candidate excludes retries with less
+            weight on prediction.
+        tolerance: Maximum fraction of the learnt return that may be lost, including one standard error, over all
+            episodes and over the undisturbed ones.
+        error: Maximum one-step error of the model relative to persistence; the aim is a third, and errors at selection
+            are slightly optimistic.
+        candidates: Number of episodes per candidate.
+        disturbance: Standard deviation of the noise added to u in every other episode, which reveals marginally stable
+            behaviour.
+        prediction: Factors on the prediction weights, tried in order until the return is kept.
+        report: Number of new episodes for the report, the same for the learnt and the consolidated policy.
+        distillation: Training settings of the candidates.
+        thorough: Training settings for the larger half of the sizes, used if no other candidate meets all requirements.
     """
 
     episodes: int = 30
@@ -56,12 +57,12 @@ class ConsolidationConfig:
     thorough: DistillationSettings = field(default_factory=lambda: DistillationSettings(hidden=512, updates=8000))
 
     def as_json(self) -> dict[str, Any]:
-        """Return all fields under the names that the files of runs hold."""
+        """Return all fields under the names used in the files of runs."""
         return {_FILE_NAMES.get(name, name): value for name, value in asdict(self).items()}
 
     @classmethod
     def of(cls, episodes: int, report: int, **changes: Any) -> ConsolidationConfig:
-        """Return a plan of so many episodes in a round, all else in proportion to them, and so many fresh ones."""
+        """Return a configuration with this many episodes per round, scaled accordingly, and for the report."""
         episodes = max(5, episodes)
         config = cls(episodes, candidates=episodes, report=report, **changes)
         share = min(1.0, (episodes / cls.episodes) ** 2)

@@ -1,16 +1,15 @@
-"""Coordinates in which a learnt policy is the LQR of a model that predicts (beyond the thesis).
+"""Finds coordinates in which a learnt policy is the LQR of a predictive model (beyond the thesis).
 
-What learning leaves acts well, but its A and B serve the gain more than the prediction, and no linear model of its
-latents predicts much better. So a small network phi takes its features psi(x) on to fewer, new coordinates z, and is
-trained together with A, B, a drift, Q and R, by recorded steps alone, that
+A learnt policy acts well, but its A and B serve the gain more than prediction, and no linear model of its latents
+predicts much better. A small network phi therefore maps its features psi(x) to fewer, new coordinates z, and is trained
+with A, B, a drift, Q and R on recorded steps only, so that
 
-- the infinite-horizon LQR of A, B, Q, R does what the learnt policy did (inverse LQR, through the Riccati equation);
-- the model predicts the next few z under the actions that were done, and what the law will ask for of the next one.
+- the infinite-horizon LQR of A, B, Q, R acts like the learnt policy (inverse LQR, through the Riccati equation);
+- the model predicts the next few z under the executed actions, and the law's next output.
 
-Both errors of prediction are over that of "nothing changes", so that small latents are no way out; the second is the
-same in all coordinates, so that one that is easy to predict cannot make up for those that the law looks at. Both are so
-for quiet and for noisy episodes apart: beside what noise moves, errors would pass unnoticed where little moves, as on a
-robot that drives.
+Both prediction errors are relative to persistence, so shrinking the latents does not help; the second is independent of
+the coordinates, so easily predicted components cannot mask those used by the law. Both are computed separately for
+quiet and noisy episodes: otherwise the motion due to noise would hide errors where little moves, as on a driving robot.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLq
 from koopman_lqr_controller.training.networks.networks import dense, deploy_layers
 
 _BOUND = 1.1
-"""Bound of the law's control: beyond it all actions are the same, up to a leak that leads back."""
+"""Bound of the law's control, beyond which all actions are the same, up to a small leak with a gradient back."""
 _LEAK = 0.01
 _LEAST = 1e-6
-"""Added to mean squares that are divided by."""
+"""Term added to mean squares in denominators."""
 _LARGEST_GRADIENT = 1.0
-"""Largest gradient of the parameters of the gain: near models that cannot be stabilised it has no bounds."""
+"""Maximum gradient of the gain's parameters, which is unbounded near models that cannot be stabilised."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +46,14 @@ class DistillationSettings:
     """Settings of a candidate's training.
 
     Attributes:
-        hidden: Units of phi's hidden layer.
+        hidden: Number of units of phi's hidden layer.
         updates: Number of updates.
-        batch: Stretches of an episode in one.
-        steps: Number of steps that are predicted in each stretch.
-        learning_rate: Largest one; it rises at first and then falls to nothing.
+        batch: Number of episode sequences per batch.
+        steps: Number of predicted steps per sequence.
+        learning_rate: Maximum learning rate; it rises at first and then decays to 0.
         model_weight: Weight of the error of z.
-        law_weight: Weight of the error of what the law asks for.
-        groups: Number of groups of episodes by their noise, with as many steps in each, that count the same for both.
+        law_weight: Weight of the error of the law's output.
+        groups: Number of equally weighted groups of episodes by noise level, with equally many steps each.
     """
 
     hidden: int = 256
@@ -67,18 +66,18 @@ class DistillationSettings:
     groups: int = 3
 
     def with_prediction(self, share: float) -> DistillationSettings:
-        """Return the same with less weight on what is predicted."""
+        """Return the settings with a lower weight on prediction."""
         return replace(self, model_weight=share * self.model_weight, law_weight=share * self.law_weight)
 
 
 @dataclass(frozen=True)
 class DistilledPolicy:
-    """A regulator in coordinates of its own, as a policy over the features of the learnt encoder.
+    """A regulator in its own coordinates, as a policy over the features of the learnt encoder.
 
     Attributes:
-        encoder: psi, the learnt one.
+        encoder: Learnt encoder psi.
         coordinates: Coordinates phi of the features.
-        controller: Controller with the infinite horizon, and phi after psi as its encoder.
+        controller: Infinite-horizon controller with phi after psi as its encoder.
     """
 
     encoder: Encoder
@@ -94,7 +93,7 @@ class DistilledPolicy:
         return self.controller.control(z)
 
     def saturate(self, u: Array, /) -> Array:
-        """Return the action that stands for u."""
+        """Map u to the action."""
         return self.controller.saturate(u)
 
 
@@ -106,18 +105,18 @@ def distil(
     settings: DistillationSettings | None = None,
     seed: int = 0,
 ) -> DistilledPolicy:
-    """Return the regulator that does what a learnt controller does.
+    """Return the regulator equivalent to a learnt controller.
 
     Args:
         learnt: Learnt controller, with a finite horizon.
-        episodes: Episodes of this or other policies with its features, for which it tells its own actions.
-        latent: Number of coordinates.
-        goal: Whether z_ref is a goal; else the mean of the latents that are met takes its place.
-        settings: Settings of learning; the defaults where left out.
-        seed: Seed of weights and batches.
+        episodes: Episodes of this or other policies with its features, labelled by its own actions.
+        latent: Number of new coordinates.
+        goal: Whether z_ref is a goal; otherwise the mean of the observed latents is used.
+        settings: Training settings; the default ones if omitted.
+        seed: Random seed of weights and batches.
 
     Raises:
-        KoopmanError: no episode is as long as a stretch, or no regulator was found.
+        KoopmanError: No episode is as long as a sequence, or no regulator was found.
     """
     settings = settings or DistillationSettings()
     with torch.random.fork_rng(devices=[]):
@@ -130,13 +129,13 @@ def distil(
 
 @dataclass(frozen=True)
 class _Data:
-    """Stretches of episodes: features (N, steps + 1, n), actions done and wanted (N, steps + 1, m), one more of these.
+    """Episode sequences: features (N, steps + 1, n), executed (N, steps, m) and target actions (N, steps + 1, m).
 
     Attributes:
         psi: Features of the learnt encoder.
-        done: Actions, all but the last one.
-        wanted: Actions of the learnt policy.
-        groups: One column for each level of noise that they are counted by, 1 in one of them (N, groups).
+        done: Executed actions, without the last one.
+        wanted: Target actions of the learnt policy.
+        groups: One-hot noise group of each sequence (N, groups).
     """
 
     psi: Tensor
@@ -180,7 +179,7 @@ class _Training:
         )
 
     def update(self) -> None:
-        """Learn from one batch."""
+        """Train on one batch."""
         data, settings = self._data, self._settings
         rows = torch.randint(len(data.psi), (settings.batch,))
         z = self._phi((data.psi[rows] - self._middle) / self._unit)
@@ -194,7 +193,7 @@ class _Training:
         self._schedule.step()
 
     def _prediction_loss(self, z: Tensor, u: Tensor, K: Tensor, done: Tensor, groups: Tensor) -> Tensor:
-        """Return the weighted errors of z after each step and of u after one, over those of "nothing changes"."""
+        """Return the weighted errors of z after each step and of u after one step, relative to persistence."""
         ahead, loss, steps = z[:, 0], torch.zeros(()), done.shape[1]
         for step in range(steps):
             ahead = self._lqr.predict(ahead, done[:, step]) + self._drift
@@ -210,10 +209,10 @@ class _Training:
         return doubled_gain(lqr.A, lqr.B, lqr.log_Q.exp(), lqr.log_R.exp())
 
     def deploy(self, learnt: LatentController, episodes: Sequence[Episode], goal: bool) -> DistilledPolicy:
-        """Return what was found, without torch.
+        """Return the result without torch.
 
         Raises:
-            KoopmanError: it is not finite, or has no regulator.
+            KoopmanError: The result is not finite, or has no regulator.
         """
         first, *others = deploy_layers(self._phi)
         assert isinstance(first, Dense)
@@ -238,6 +237,6 @@ class _Training:
 
 
 def _over(missed: Tensor, moved: Tensor, groups: Tensor) -> Tensor:
-    """Return a sum of squares over another, the mean of those of all groups."""
+    """Return the ratio of two sums of squares, averaged over all groups."""
     above, below = (groups.T @ part.square().sum(dim=1) for part in (missed, moved))
     return (above / (below + _LEAST)).mean()

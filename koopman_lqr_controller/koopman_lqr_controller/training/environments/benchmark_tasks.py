@@ -1,4 +1,4 @@
-"""The benchmark tasks: environments, settings that suit them, and the thesis's returns. Imports no torch."""
+"""The benchmark tasks: environments, suitable settings, and the thesis's returns. Imports no torch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.settings import Settings
 
 AnyEnvironment = Any
-"""A gymnasium.Env: its package is imported when one is made."""
+"""A gymnasium.Env; the package is imported only when one is created."""
 
 
 @dataclass(frozen=True)
@@ -26,21 +26,21 @@ class BenchmarkTask:
     Attributes:
         name: Name of the task.
         about: Description in one line.
-        make: Makes an environment, to learn in (True) or to evaluate in (False).
-        settings: Settings that suit the task.
-        repeat: Steps of the simulated system for one action.
-        chunk: Actions between two evaluations, whole episodes where these have one length.
-        chunks: Number of chunks, unless asked otherwise.
-        evaluations: Episodes of an evaluation.
-        chunk_episodes: Number of episodes that end a chunk before its actions do; 0 for any number.
-        episodes: Largest number to learn from, those that end with a chunk included; 0 for any.
-        patience: Chunks without a new best after which learning ends; 0 for any.
+        make: Creates an environment for training (True) or evaluation (False).
+        settings: Training settings.
+        repeat: Number of simulation steps per action.
+        chunk: Number of actions between two evaluations; whole episodes if they have a fixed length.
+        chunks: Default number of chunks.
+        evaluations: Number of episodes per evaluation.
+        chunk_episodes: Number of episodes after which a chunk ends early; 0 for no limit.
+        episodes: Maximum number of training episodes, including those that end with a chunk; 0 for no limit.
+        patience: Number of chunks without a new best after which training ends; 0 for no limit.
         goal: Observation of the goal; None for z_ref = 0.
-        middle: Value of the observation that becomes 0 in the encoder.
-        unit: Distance above the middle that becomes 1.
-        thesis: Return that the thesis reached; None where it names none.
+        middle: Value of the observation that maps to 0 in the encoder.
+        unit: Distance from `middle` that maps to 1.
+        thesis: Return reported in the thesis, or None.
         task: Name or file of a task with a corridor; empty for tasks of other kinds.
-        version: Version of the environment's observations and rewards; a new one for each change of them.
+        version: Version of the environment's observations and rewards; increased with each change of them.
     """
 
     name: str
@@ -63,16 +63,16 @@ class BenchmarkTask:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what defines the task, however long it is learnt (hex)."""
+        """SHA-256 (hex) of the task's definition, independent of the training duration."""
         task = task_digest(load_navigation_task(self.task)) if self.task else None
         parts = [Path(self.name).stem, self.version, self.repeat, self.goal, self.middle, self.unit, task]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
     def with_settings(self, **changes: Any) -> BenchmarkTask:
-        """Return the same task with other numbers.
+        """Return the task with other settings.
 
         Raises:
-            KoopmanError: there is no such number, or it is out of range.
+            KoopmanError: A setting is unknown or out of range.
         """
         try:
             settings = replace(self.settings, **changes)
@@ -103,11 +103,11 @@ def find_task(name: str) -> BenchmarkTask:
 
 
 def task_of_manifest(manifest: Mapping[str, Any]) -> BenchmarkTask:
-    """Return the problem that a policy's manifest names.
+    """Return the problem named in a policy's manifest.
 
     Raises:
-        KoopmanError: there is none, or it is no longer as it was when the policy was made.
-        TaskError: the task's file is no task.
+        KoopmanError: The problem does not exist, or has changed since the policy was made.
+        TaskError: The task's file is invalid.
     """
     name = str(manifest.get("task"))
     problem = find_task(name)
@@ -199,4 +199,4 @@ _ALL = (
     ),
 )
 BENCHMARK_TASKS = {problem.name: problem for problem in _ALL}
-"""By name. The corridor is learnt from 40 episodes, as many as in the thesis, of at most 700 steps."""
+"""Tasks by name. The corridor is trained on 40 episodes, as in the thesis, of at most 700 steps."""

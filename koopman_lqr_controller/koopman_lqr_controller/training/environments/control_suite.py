@@ -1,4 +1,4 @@
-"""Tasks of the DeepMind control suite as Gymnasium environments, seen as states or as pixels, without a window."""
+"""DeepMind control suite tasks as Gymnasium environments, observed as states or pixels, without a window."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from numpy.typing import NDArray
 from koopman_lqr_controller.errors import KoopmanError
 
 FRAMES = 3
-"""Pictures of an observation: the newest and those before it, oldest first."""
+"""Number of images in an observation, oldest first."""
 _CAMERA = 0
 _GREY = np.array((0.299, 0.587, 0.114), np.float32)
 _QUICK = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX")
-"""Effects that a picture does without: drawn in software, it is made ten times as quickly."""
+"""Rendering effects to disable, which makes software rendering ten times faster."""
 
 Observation = NDArray[Any]
 
 
 class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A task whose episodes are cut at 1000 of the suite's steps; their return is at most 1000.
+    """A task with episodes truncated at 1000 steps of the suite; the return is at most 1000.
 
-    Observation: the suite's own, one part after the other (n,) float32; or the last `FRAMES` grey pictures
-    (FRAMES, size, size) uint8. Action: [-1, 1] for each actuator. Reward: the sum over the repeated steps.
+    Observation: the suite's own, concatenated (n,) float32; or the last `FRAMES` grey images (FRAMES, size, size)
+    uint8. Action: [-1, 1] for each actuator. Reward: the sum over the repeated steps.
 
     Args:
         domain: Domain of the suite, e.g. "cartpole".
         task: Task of the domain, e.g. "swingup".
-        repeat: Steps of the suite that an action is held.
-        pixels: Rows and columns of a picture; 0 for states.
+        repeat: Number of suite steps per action.
+        pixels: Rows and columns of an image; 0 for states.
 
     Attributes:
-        dt: Time for which an action is held [s].
+        dt: Hold time of an action [s].
 
     Raises:
-        KoopmanError: pictures are wanted, and there is no OpenGL to draw them.
+        KoopmanError: Images are requested but OpenGL is unavailable.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
@@ -64,7 +64,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; the same seed gives the same one. `options` has no effect."""
+        """Start an episode; the same seed gives the same episode. `options` has no effect."""
         super().reset(seed=seed, options=options)
         self._random.seed(int(self.np_random.integers(2**32)))
         step = self._suite.reset()
@@ -95,7 +95,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         return np.array(self._suite.physics.get_state(), dtype=np.float64)
 
     def place(self, state: NDArray[np.float64]) -> Observation:
-        """Begin an episode in a state of the simulated system (n,)."""
+        """Start an episode in a state of the simulated system (n,)."""
         step = self._suite.reset()
         with self._suite.physics.reset_context():
             self._suite.physics.set_state(state)
@@ -103,7 +103,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(step._replace(observation=self._suite.task.get_observation(self._suite.physics)))
 
     def close(self) -> None:
-        """Give the renderer back."""
+        """Release the renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -133,7 +133,7 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 
 def _load_suite(pictures: bool) -> Any:
-    """Import the suite for a machine without a screen; MUJOCO_GL says otherwise where it is set."""
+    """Import the suite for headless use, unless MUJOCO_GL is set."""
     if "mujoco" not in sys.modules:
         os.environ.setdefault("MUJOCO_GL", "egl" if pictures else "disabled")
     from absl import logging

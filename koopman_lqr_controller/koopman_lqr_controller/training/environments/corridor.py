@@ -1,11 +1,11 @@
-"""The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as its firmware takes them.
+"""The simulated corridor for learning: lidar and odometry of a TurtleBot3, commands as in its firmware.
 
-Learning drives through several such corridors in a row, so that an episode without a collision is as long as the
-thesis's, about 700 steps. Lidar, drop-out and delay are others in each episode: what is learnt has to stand them all.
+Training uses several such corridors in a row, so that an episode without a collision is as long as in the thesis, about
+700 steps. Lidar, drop-out and delay are randomised per episode, for robustness.
 
-The reward is this suite's own, the thesis says nothing of it: progress along the path, less the nearer the walls are
-and the harder the robot turns, and at the end what the task pays for goal and collision, as multiples of what a step at
-full speed pays.
+The reward is this suite's own, because the thesis does not specify one: progress along the path, minus penalties for
+proximity to walls and for turning, plus the task's rewards for goal and collision at the end, as multiples of the
+reward of a step at full speed.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from koopman_lqr_controller.training.replay import Mirror
 from sim_bridge import SimulatedWorld, SimulationOptions
 
 _BESIDE, _ASKEW = 0.12, 30.0
-"""Largest offset from the middle line at which learning begins [m], [deg]."""
+"""Maximum initial offset from the centre line in training [m], and heading [deg]."""
 _AT_SPEED = 0.9
-"""Part of an episode that it takes at full speed to drive through as many corridors as learning has in a row."""
+"""Fraction of an episode needed at full speed to drive through the corridors of a training episode."""
 _LIDARS, _MOST_DROPOUT, _LONGEST_DELAY = ("lds01", "lds02"), 0.1, 0.1
-"""Lidars of an episode's robot, largest probability that a beam is lost, longest delay of a command [s]."""
+"""Randomised lidars, maximum probability of a lost beam, and maximum command delay [s]."""
 _RATE = 60
 _FASTEST, _HARDEST = find_robot(DEFAULT_ROBOT).speed, 1.5
-"""Largest command of a policy, forwards [m/s] and to both sides [rad/s]; less where the task allows less."""
+"""Maximum commands of a policy, forwards [m/s] and to both sides [rad/s]; lower if the task allows less."""
 _NEAR_WALL = 0.15
-"""Clearance below which a step pays less [m]."""
+"""Clearance below which the reward of a step is reduced [m]."""
 _TURN_COST = 0.2
-"""Cost of a step at the highest turn rate; below it grows by the square. Without it the robot shakes its way along."""
+"""Cost of a step at the maximum turn rate, quadratic below; without it the robot zigzags."""
 _ADVANCE, _STALL = 0.05, 10.0
-"""An episode in which the robot comes no further than so far in so long is cut off [m], [s]."""
+"""Minimum progress [m] within a time [s], below which an episode is truncated."""
 _COLLISION_SCALE, _GOAL_SCALE = 1 / 20, 1 / 50
-"""Scales of the task's final rewards, in steps at full speed: -20 and 20 of them."""
+"""Scales of the task's terminal rewards in steps at full speed: -20 and 20."""
 
 Vector = NDArray[np.float32]
 
@@ -54,10 +54,10 @@ class Conditions:
     """Conditions that make a robot harder to drive.
 
     Attributes:
-        lidar: One of `sim_bridge.simulation.lidar.LIDARS`.
+        lidar: Lidar kind, one of `sim_bridge.simulation.lidar.LIDARS`.
         dropout: Probability that a beam is lost.
-        delay: From a command to its effect [s].
-        noise: Standard deviation of a range [m], None for the task's.
+        delay: Time from a command to its effect [s].
+        noise: Standard deviation of a range [m]; None for the task's.
     """
 
     lidar: str = "lds01"
@@ -67,18 +67,18 @@ class Conditions:
 
     @classmethod
     def drawn(cls, random: np.random.Generator) -> Conditions:
-        """Return those of some robot."""
+        """Draw random lidar, drop-out and delay."""
         return cls(str(random.choice(_LIDARS)), random.uniform(0.0, _MOST_DROPOUT), random.uniform(0.0, _LONGEST_DELAY))
 
 
 class Corridor(gymnasium.Env[Vector, Vector]):
-    """The task `curved_corridor` with random widths and the firmware's truncation.
+    """The task `curved_corridor` with random widths and the firmware's command truncation.
 
-    Observation: `LidarObservation`. Action: [-1, 1] for speed and turn rate, mapped to the wiring's commands. Info:
-    `outcome`, `progress` and `clearance` [m].
+    Observation: `LidarObservation`. Action: [-1, 1] for speed and turn rate, mapped to the commands of
+    `robot_interface`. Info: `outcome`, `progress` and `clearance` [m].
 
     Attributes:
-        task: Task that is simulated.
+        task: Simulated task.
         robot_interface: Connection of the robot to a policy.
         mirror: Symmetry of left and right.
     """
@@ -91,14 +91,15 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         """Build the world.
 
         Args:
-            learning: Several corridors in a row, begun anywhere in the first; else the task as it is.
-            conditions: Conditions of all episodes; None to draw others for each.
+            learning: Whether to chain several corridors, with starts anywhere in the first one; otherwise the task is
+                unchanged.
+            conditions: Conditions of all episodes; None to draw them per episode.
             task: Name or file of a task with a corridor.
 
         Raises:
-            KoopmanError: the task has no corridor, allows too little to drive there, or the physics are not as quick as
-                its time step wants.
-            TaskError: there is no such task.
+            KoopmanError: The task has no corridor, its command limits are too low, or the physics rate does not match
+                its time step.
+            TaskError: The task does not exist.
         """
         self.task = load_navigation_task(task)
         if self.task.corridor is None:
@@ -128,7 +129,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
-        """Begin an episode; the same seed gives the same one. `options` has no effect."""
+        """Start an episode; the same seed gives the same episode. `options` has no effect."""
         super().reset(seed=seed, options=options)
         conditions = self._conditions or Conditions.drawn(self.np_random)
         self._world.close()
@@ -156,7 +157,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return self.observe(), reward, terminated, truncated, self._info(outcome)
 
     def close(self) -> None:
-        """Give the physics client back."""
+        """Release the physics client."""
         self._world.close()
 
     def _make_world(self, seed: int, conditions: Conditions) -> SimulatedWorld:
@@ -172,7 +173,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return SimulatedWorld(self.task, seed, options=options)
 
     def _s(self) -> float:
-        """Return how far along the path the robot is [m]."""
+        """Return the robot's arc length along the path [m]."""
         return float(self._path_coordinates(self._world.pose(0))[0])
 
     def scan(self) -> tuple[NDArray[np.float32], ScanGeometry]:
@@ -186,11 +187,11 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         return forward, turn
 
     def observe(self) -> Vector:
-        """Return the observation of the state as it is, with noise and drop-out of its own in each call."""
+        """Return the observation of the current state, with new noise and drop-out in each call."""
         return self.robot_interface.observation.observe(*self.scan(), *self.speeds()).astype(np.float32)
 
     def _stalls(self) -> bool:
-        """Return whether the robot has come no further for too long."""
+        """Return whether the robot has made no progress for too long."""
         if self._along > self._furthest + _ADVANCE:
             self._furthest, self._since = self._along, 0
         self._since += 1
@@ -203,7 +204,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
 
 
 def _limits(task: NavigationTask) -> tuple[Interval, Interval]:
-    """Return what may be commanded as speed [m/s] and turn rate [rad/s], to both sides alike."""
+    """Return the limits of speed [m/s] and turn rate [rad/s], symmetric to both sides."""
     if not task.robot.commands.keys() >= {"v", "omega"}:
         raise KoopmanError(f"task '{task.name}' has a {task.robot.body}: must have wheels")
     speed, turn = task.robot.commands["v"], task.robot.commands["omega"]
@@ -216,7 +217,7 @@ def _limits(task: NavigationTask) -> tuple[Interval, Interval]:
 
 
 def _in_a_row(task: NavigationTask, corridor: CorridorSpec, speed: float) -> NavigationTask:
-    """Return the task with its corridor as often as an episode has time for, and the goal at the end of the last."""
+    """Return the task with its corridor repeated as often as an episode permits, and the goal at the end."""
     length, most = corridor.path.length, task.episode.steps * task.episode.time_step * speed * _AT_SPEED
     count = max(1, int(most / length))
     while count > 1 and _meets_itself(corridor, count):
@@ -242,7 +243,7 @@ def _repeated(corridor: CorridorSpec, count: int) -> CorridorSpec:
 
 
 def _meets_itself(corridor: CorridorSpec, count: int) -> bool:
-    """Return whether so many corridors in a row come nearer to each other than their walls allow."""
+    """Return whether this many corridors in a row would overlap."""
     path, apart = _repeated(corridor, count).path, corridor.width_range.high + 2.0 * corridor.wall_thickness
     s = np.arange(0.0, path.length, 0.25 * apart)
     places = path.pose(s)[:, :2]

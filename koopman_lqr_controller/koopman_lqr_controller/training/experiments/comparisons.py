@@ -1,4 +1,4 @@
-"""The comparisons of thesis 4.3, each with the figures that the thesis gives. Imports no torch."""
+"""The comparisons of thesis 4.3, each with the thesis's values. Imports no torch."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ _HAND_TUNED = ("two_stage", "two_stage_q2", "two_stage_q3", "two_stage_q4", "koo
 _SMALL = ("koopman", "latent_6", "latent_4", "network")
 
 Figures = Mapping[tuple[str, str], tuple[float | None, float | None]]
-"""By task and method: return and model error; None where the thesis gives none."""
+"""Return and model error by task and method; None if not in the thesis."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is run for a table or a figure.
+    """The runs of a table or figure.
 
     Attributes:
         about: Subject in one line.
         methods: Names of `methods.METHODS`.
-        tasks: Tasks that the thesis compares on.
-        thesis: Figures that the thesis gives.
-        kind: "finals" (a row for each method), "levels" (returns by model error), "curves" (returns while learning)
-            or "gaps" (a reference return less these).
-        levels: Levels of the model's error, for "levels".
+        tasks: Tasks compared in the thesis.
+        thesis: Values reported in the thesis.
+        kind: "finals" (a row for each method), "levels" (returns by model error), "curves" (returns during training) or
+            "gaps" (a reference return minus these).
+        levels: Levels of model error, for "levels".
     """
 
     about: str
@@ -38,7 +38,7 @@ class Comparison:
 
 
 REFERENCE = {_CARTPOLE: 841.0, _PIXELS: 841.0, _CHEETAH: 518.0}
-"""Returns that Figure 4.3 measures against: those of CURL after 500,000 steps, from its paper."""
+"""Reference returns of Figure 4.3: those of CURL after 500,000 steps, from its paper."""
 
 LEVELS: Mapping[tuple[str, float], float] = {
     ("two_stage", 1e-4): 188.10,
@@ -48,7 +48,7 @@ LEVELS: Mapping[tuple[str, float], float] = {
     ("koopman", 1e-3): 846.88,
     ("koopman", 1e-2): 784.01,
 }
-"""Table 4.1: returns by method and level of the model's error."""
+"""Table 4.1: returns by method and level of model error."""
 
 
 def _figures(methods: tuple[str, ...], task: str, *figures: tuple[float | None, float | None]) -> Figures:
@@ -93,4 +93,4 @@ COMPARISONS = {
         kind="curves",
     ),
 }
-"""By table or figure of the thesis."""
+"""Comparisons by table or figure of the thesis."""

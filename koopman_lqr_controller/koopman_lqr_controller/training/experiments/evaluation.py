@@ -1,4 +1,4 @@
-"""Success and return of a learnt policy in fresh episodes."""
+"""Success and return of a learnt policy in new episodes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from koopman_lqr_controller.training.environments.benchmark_tasks import find_ta
 
 
 def evaluate_in_episodes(policy: Path, task: str | None, episodes: int, seed: int, results: Path | None) -> int:
-    """Play the episodes `seed`, `seed` + 1 and so on, report them as `ctrl_rl_learning.cli.evaluate`, and return 0.
+    """Run the episodes `seed`, `seed` + 1, etc., report them as `ctrl_rl_learning.cli.evaluate`, and return 0.
 
     Raises:
-        KoopmanError: The file holds no policy that `train` learns, or its task is unknown, or has changed.
+        KoopmanError: The file has no policy learnt by `train`, or its task is unknown or has changed.
     """
     controller: NetworkPolicy | LatentController
     try:

@@ -1,4 +1,4 @@
-"""Curves of last policies, joined where several commands share the seeds, and what others publish beside them."""
+"""Curves of last policies, merged over commands with different seeds, and published results of others."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PUBLISHED: Mapping[str, Mapping[str, Mapping[int, float]]] = {
     "cartpole_swingup": {"SimbaV2": {100_000: 880}, "MR.Q": {100_000: 853}},
     "cartpole_swingup_pixels": {"DrQ-v2": {100_000: 626, 200_000: 807, 500_000: 846}},
 }
-"""Mean returns that others publish after so many simulated frames, by task and method."""
+"""Published mean returns after a number of simulated frames, by task and method."""
 
 
 class SeedCurves(Schema):
-    """Returns after so many frames (`samples`), the seeds' numbers, and the digest of all else that made them."""
+    """Returns after numbers of frames (`samples`), seeds, and the digest of all other settings."""
 
     curve: ValueCurve
     seeds: Annotated[list[int], Field(min_length=1, max_length=10_000)]
@@ -40,17 +40,17 @@ class SeedCurves(Schema):
 
 
 class LastPolicies(Figures):
-    """Curves of a file of `train --keep last --results`, by method."""
+    """Curves in a file of `train --keep last --results`, by method."""
 
     last_policies: Annotated[dict[Name, SeedCurves], Field(min_length=1, max_length=100)]
 
 
 def read_curves(file: Path) -> dict[str, Any]:
-    """Return the curves of a results file by method; none where there is no file, or one without curves.
+    """Read the curves of a results file by method; empty without a file or without curves.
 
     Raises:
         ResultsError: The file cannot be read.
-        KoopmanError: It holds other curves.
+        KoopmanError: The file has curves of another kind.
     """
     before = read_experiment(file) if file.exists() else None
     if before is None or before.figures is None:
@@ -61,20 +61,20 @@ def read_curves(file: Path) -> dict[str, Any]:
 
 
 def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]], file: Path) -> dict[str, Any] | None:
-    """Return the figures' data of a results file with the curves of new seeds; None where there is no curve.
+    """Return the figure data of a results file extended by the curves of new seeds; None without curves.
 
-    Seeds that were evaluated after different frames, as with a budget of episodes, have no curve in common.
+    Seeds evaluated after different numbers of frames, as with an episode budget, have no common curve.
 
     Args:
         method: Name of the curves.
-        terms: Digest of all that made them but the seed. Curves that other terms made are replaced; of these, those of
-            other seeds stay.
-        results: Results of `train`, one a seed.
-        file: Results file, which need not be there.
+        terms: Digest of all settings except the seed. Curves with another digest are replaced; those with this digest
+            are kept for other seeds.
+        results: Results of `train`, one per seed.
+        file: Results file, which need not exist.
 
     Raises:
         ResultsError: The file cannot be read.
-        KoopmanError: It holds other curves.
+        KoopmanError: The file has curves of another kind.
     """
     curves = read_curves(file)
     old = curves.pop(method, None)
@@ -90,9 +90,9 @@ def collect_curves(method: str, terms: str, results: Sequence[Mapping[str, Any]]
 
 
 def shown_return(point: Mapping[str, Any]) -> float:
-    """Return what curves show of a point: the return of the averaged actor, or of the only candidate.
+    """Return the value shown in curves: the return of the averaged actor, or of the only candidate.
 
-    Checkpoints keep no order, so that the first candidate may be another one where a run was cut off.
+    The name is needed because checkpoints do not preserve the order of candidates.
     """
     returns = point["returns"]
     return float(returns["averaged"] if "averaged" in returns else next(iter(returns.values())))

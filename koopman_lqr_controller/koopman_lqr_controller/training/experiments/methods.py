@@ -1,21 +1,21 @@
-"""What is compared: thesis chapter 4, its ablations, and others under the same budget. Imports no torch."""
+"""The compared methods: thesis chapter 4, its ablations, and others under the same budget. Imports no torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 LEARNERS = ("koopman", "sac", "two_stage", "edmd")
-"""What learns, see `runs`."""
+"""Names of learners, see `runs`."""
 Changes = tuple[tuple[str, int | float | str], ...]
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way of learning.
+    """A learning method.
 
     Attributes:
-        label: Name in tables and pictures.
-        changes: Changes of the task's settings.
+        label: Name in tables and figures.
+        changes: Changes to the task's settings.
         learner: One of `LEARNERS`.
     """
 
@@ -41,4 +41,4 @@ METHODS = {
     **{f"iterations_{number}": Method(f"M = {number}", (("riccati_iterations", number),)) for number in (3, 10)},
     **{f"latent_{number}": Method(f"latent {number}", (("latent", number),)) for number in (4, 6, 30, 100)},
 }
-"""By name; the settings of "koopman" are M = 5 and latent 50."""
+"""Methods by name; the settings of "koopman" are M = 5 and latent 50."""

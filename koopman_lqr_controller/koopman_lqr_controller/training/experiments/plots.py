@@ -1,4 +1,4 @@
-"""Pictures of returns while learning: of comparisons (thesis Fig. 4.8, 4.9; 4.3 from a reference), of last policies."""
+"""Figures of returns during training: comparisons (thesis Fig. 4.8, 4.9; 4.3 from a reference), and last policies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from koopman_lqr_controller.training.experiments.methods import METHODS
 
 
 class Comparison(Figures):
-    """What a comparison is drawn from, see `collect_comparison`."""
+    """Data of a comparison figure, see `collect_comparison`."""
 
     comparison: Name
     kind: Literal["curves", "gaps", "levels", "finals"]
@@ -35,7 +35,7 @@ class Comparison(Figures):
 
 
 class Training(Figures):
-    """What a run of `train` is drawn from, see `collect`: by candidate, a curve of each seed, beside their `steps`."""
+    """Data of a `train` figure, see `collect`: a curve per seed and candidate, with its `steps`."""
 
     curves: Annotated[dict[Name, Seeds], Field(min_length=2, max_length=100)]
 
@@ -54,11 +54,11 @@ def draw(file: Path, path: Path) -> None:
     """Draw a results file of `train` or `compare`.
 
     Args:
-        file: Results file that `train` or `compare` wrote.
-        path: Path of the picture.
+        file: Results file written by `train` or `compare`.
+        path: Path of the figure.
 
     Raises:
-        ResultsError: There is no such file, or it holds something else.
+        ResultsError: The file does not exist or has other content.
     """
     figures = read_figures(file, Figures)
     if "last_policies" in figures:
@@ -73,8 +73,8 @@ def draw_training(figures: Mapping[str, Any], path: Path) -> None:
     """Draw the evaluations of each seed for each candidate.
 
     Args:
-        figures: Figures' data of `collect`.
-        path: Path of the picture.
+        figures: Figure data from `collect`.
+        path: Path of the figure.
     """
     curves = dict(figures["curves"])
     steps = min(curves.pop("steps"), key=len)
@@ -85,11 +85,11 @@ def draw_training(figures: Mapping[str, Any], path: Path) -> None:
 
 
 def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw returns, or how far they stay below a reference, while methods learnt.
+    """Draw returns, or their gap to a reference, during training.
 
     Args:
-        figures: Figures' data of `collect_comparison`.
-        path: Path of the picture.
+        figures: Figure data from `collect_comparison`.
+        path: Path of the figure.
     """
     gaps, reference = figures["kind"] == "gaps", figures["reference"]
     measure = "reference return less ours" if gaps else RETURN
@@ -106,11 +106,11 @@ def draw_comparison(figures: Mapping[str, Any], path: Path) -> None:
 
 
 def draw_last_policies(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw returns over environment steps, a panel for each task, beside what others publish.
+    """Draw returns over environment steps, a panel per task, with published results.
 
     Args:
-        figures: Figures' data of `collect_curves`.
-        path: Path of the picture.
+        figures: Figure data from `collect_curves`.
+        path: Path of the figure.
     """
     panels: dict[str, list[Line]] = {}
     for method, each in figures["last_policies"].items():

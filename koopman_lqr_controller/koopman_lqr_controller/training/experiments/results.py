@@ -1,4 +1,4 @@
-"""Tables of a task's or a comparison's runs, with the thesis's figures beside ours, and curves to draw."""
+"""Result tables of a task's or a comparison's runs beside the thesis's values, and curves to draw."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from koopman_lqr_controller.training.experiments.last_curves import shown_return
 from koopman_lqr_controller.training.experiments.methods import METHODS
 
 Results = Sequence[Mapping[str, Any]]
-"""Results of `train`, one a seed."""
+"""Results of `train`, one per seed."""
 FRAMES = (100_000, 200_000, 350_000)
-"""Simulated frames after which others publish returns."""
+"""Numbers of simulated frames at which others publish returns."""
 _LEARNT, _CONSOLIDATED = "task-oriented Koopman", "task-oriented Koopman, consolidated"
 
 
 def _at(*path: str) -> Callable[[Mapping[str, Any]], float]:
-    """Return what looks a figure up in a result."""
+    """Return a function that looks up a value in a result."""
     return lambda result: float(reduce(getitem, path, result))  # type: ignore[arg-type]
 
 
 def _where_there(name: str) -> Callable[[Results], list[float]]:
-    """Return what looks a figure up in all results, where all have it."""
+    """Return a function that looks up a value in all results, if all have it."""
     return lambda results: [each[name] for each in results] if all(name in each for each in results) else []
 
 
 def _goals(results: Results) -> list[float]:
-    """Return how often the goal was reached, where episodes say how they end."""
+    """Return how often the goal was reached, if episodes report their outcome."""
     ended = [each["outcomes"] for each in results]
     return [each.get("GOAL", 0) / max(1, sum(each.values())) for each in ended] if any(ended) else []
 
@@ -92,7 +92,7 @@ def _rows(
 
 
 def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[list[Result], dict[str, Any]]:
-    """Return the table of all runs of a problem, one value a seed, and the curves as JSON."""
+    """Return the table of all runs of a problem, one value per seed, and the curves as JSON."""
     learner = results[0]["run"]["learner"]
     rows = _rows(_LEARNT if learner == "koopman" else learner, results, _LEARNING, {"return": problem.thesis})
     if all(result["consolidated"] for result in results):
@@ -107,11 +107,11 @@ def collect(problem: BenchmarkTask, results: Sequence[dict[str, Any]]) -> tuple[
 
 
 def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
-    """Return the rows of runs that kept their last policy, by task: returns after all frames that were learnt from.
+    """Return the rows of runs that kept their last policy, by task: returns after all training frames.
 
-    Those at `FRAMES` that runs passed are of the policy as it was then, in the episodes of that evaluation.
-    Consolidation takes frames of its own, which are counted beside. Rows name their seeds and terms, so that a results
-    file can join them with those of seeds that were learnt elsewhere.
+    Returns at intermediate `FRAMES` are those of the policy at that time, in the episodes of that evaluation. Frames
+    used by consolidation are counted separately. Rows name their seeds and terms, so that a results file can merge them
+    with those of seeds trained elsewhere.
     """
     last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
     passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
@@ -128,12 +128,12 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
 
 
 def _terms(result: Mapping[str, Any]) -> str:
-    """Return the digest of a run's terms but its seed."""
+    """Return the digest of a run's settings except its seed."""
     return digest({**result["run"], "seed": None})[:16]
 
 
 def _shown_after(number: int) -> Callable[[Mapping[str, Any]], float]:
-    """Return what looks up the return that curves show after so many chunks."""
+    """Return a function that looks up the return shown in curves after a number of chunks."""
     return lambda result: shown_return(result["curve"][number])
 
 
@@ -142,16 +142,16 @@ def _at_frames(frames: int) -> str:
 
 
 def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> tuple[list[Result], dict[str, Any]]:
-    """Return the rows of a comparison and the data of its picture.
+    """Return the rows of a comparison and its figure data.
 
     Args:
         name: One of `COMPARISONS`.
-        task: Task that the runs learnt.
-        results: Results of its methods.
+        task: Task of the runs.
+        results: Results by method.
 
     Returns:
-        Rows, and `comparison`, `kind`, `task`, `reference` and, by method, `curves`: `samples`, steps of the system
-        (chunks,), and `values`, returns in the evaluations (seeds, chunks); a run that ended early stays as it ended.
+        Rows, and `comparison`, `kind`, `task`, `reference` and, by method, `curves`: `samples`, simulation steps
+            (chunks,), and `values`, evaluation returns (seeds, chunks); a run that ended early keeps its last value.
     """
     comparison, rows = COMPARISONS[name], list[Result]()
     if comparison.kind == "levels":
@@ -170,7 +170,7 @@ def collect_comparison(name: str, task: str, results: Mapping[str, Results]) -> 
 
 
 def _levels(method: str, levels: Sequence[float], results: Results) -> list[Result]:
-    """Return, for each level of the model's error, the best return in an evaluation of a run while it was there."""
+    """Return, for each level of model error, the best evaluation return of a run at that level."""
     rows: list[Result] = []
     found: list[tuple[float, list[float]]] = []
 
@@ -191,7 +191,7 @@ def _levels(method: str, levels: Sequence[float], results: Results) -> list[Resu
 
 
 def _best_at(level: float, curve: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the best return of the candidates whose error has this order of magnitude; None where there is none."""
+    """Return the best return of the candidates with a model error of this order of magnitude, or None."""
     returns = [
         point["returns"][name]
         for point in curve

@@ -28,18 +28,18 @@ from koopman_lqr_controller.training.experiments.trainer import Keep, KoopmanTra
 class LearningRun(Run):
     """A run with a learner of `methods.LEARNERS`.
 
-    Its folder then holds policy.safetensors, the policy that is kept, and consolidated.safetensors, unless the run
-    wants none. `KoopmanTrainer` says what result and curve hold.
+    Writes policy.safetensors, the kept policy, and optionally consolidated.safetensors to its folder. See
+    `KoopmanTrainer` for the content of result and curve.
 
     Attributes:
         problem_name: One of `BENCHMARK_TASKS`, or the .yaml file of a task with a corridor.
-        seed: Seed of everything random.
-        changes: Changed `Settings` of the problem, by name.
-        device: Device of the networks: "cpu", whose runs can be repeated exactly, or "cuda".
-        command: Command that the policy file names as its origin.
-        consolidation: Episodes of each round of consolidation; 0 for none, and none unless an LQR was learnt.
+        seed: Random seed.
+        changes: Changes to the problem's `Settings`, by name.
+        device: Device of the networks: "cpu", with exactly reproducible runs, or "cuda".
+        command: Command recorded in the policy file.
+        consolidation: Episodes per round of consolidation, for a learnt LQR only; 0 for none.
         learner: One of `methods.LEARNERS`.
-        keep: Policy that the run ends with: the "best" in the evaluations after each chunk, or the "last".
+        keep: Policy to keep: the "best" in the evaluations after each chunk, or the "last".
     """
 
     problem_name: str
@@ -70,7 +70,7 @@ class LearningRun(Run):
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result and its policy, as JSON."""
+        """Description of the run for its result and policy, as JSON."""
         problem = self.problem
         return {
             "task": problem.name,
@@ -82,7 +82,7 @@ class LearningRun(Run):
         }
 
     def plan(self, options: RunOptions) -> ConsolidationConfig | None:
-        """Return how the policy is consolidated; None if it is not."""
+        """Return the consolidation settings; None for no consolidation."""
         if not self.consolidation or self.learner != "koopman" or self.problem.settings.policy != "lqr":
             return None
         return ConsolidationConfig.of(self.consolidation, options.final_evaluations)
@@ -91,7 +91,7 @@ class LearningRun(Run):
         """Return description and settings.
 
         Raises:
-            KoopmanError: There is no such device.
+            KoopmanError: The device does not exist.
         """
         if self.device != "cpu" and not torch.cuda.is_available():
             raise KoopmanError(f"device {self.device}: torch sees none; use cpu")
@@ -103,7 +103,7 @@ class LearningRun(Run):
 
     @contextmanager
     def begin(self, options: RunOptions, tell: ProgressCallback) -> Iterator[KoopmanTrainer]:
-        """Yield the learner with its environments."""
+        """Yield the trainer with its environments."""
         environment, tested = (self.problem.make(learning) for learning in (True, False))
         try:
             capacity = 2 * options.iterations * options.samples
@@ -117,11 +117,11 @@ class LearningRun(Run):
             tested.close()
 
     def words(self, point: IterationMetrics) -> str:
-        """Return the return of the policy that is kept so far."""
+        """Format the return of the policy kept so far."""
         return f"{point['best']:.1f}"
 
     def should_stop(self, curve: Sequence[IterationMetrics]) -> bool:
-        """Return whether a task's episodes are used up, or its patience is."""
+        """Return whether a task's episode budget or its patience is exhausted."""
         # What others offer has all of the budget: their curves may rise late, and ours must not win by that.
         patience = self.problem.patience if self.learner == "koopman" else 0
         since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
@@ -129,7 +129,7 @@ class LearningRun(Run):
         return bool(used_up or (patience and since_best >= patience))
 
     def check(self, folder: Path, result: Mapping[str, Any]) -> None:
-        """Refuse a finished run whose policies are not those that it ended with."""
+        """Raise if the policies of a finished run have been changed."""
         now = {name: digest(folder / name) for name in result["digests"]}
         check_same(result_file(folder.parent, self), result["digests"], now)
 

@@ -1,4 +1,4 @@
-"""Learning by interaction, whatever the learner: chunks, evaluations after each, and the best or last policy kept."""
+"""Learning by interaction with any learner: chunks, evaluations after each, and the best or last policy kept."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvi
 from koopman_lqr_controller.training.replay import Replay
 
 Keep = Literal["best", "last"]
-"""Policy that a run keeps: the best in the evaluations, or the last."""
+"""Policy to keep: the best in the evaluations, or the last."""
 POLICY_FILE = "policy.safetensors"
-"""The policy that is kept, in the folder of a run."""
+"""File of the kept policy in the folder of a run."""
 CONSOLIDATED_FILE = "consolidated.safetensors"
-"""What is deployed, in the folder of a run."""
+"""File of the deployed policy in the folder of a run."""
 _EVALUATION_SEED = 1_000_000
 _MOST_FOR_REGION = 10_000
-"""Steps that are enough to say what learning saw."""
+"""Number of steps sufficient to estimate the training distribution."""
 
 
 class _Best(Schema):
-    """The policy that is kept so far, as a checkpoint says it."""
+    """The policy kept so far, as stored in a checkpoint."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -47,7 +47,7 @@ class _Best(Schema):
 
 
 class _Point(Schema):
-    """What learning goes on from of a chunk, see `KoopmanTrainer.iterate`."""
+    """Data of a chunk needed to resume, see `KoopmanTrainer.iterate`."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -57,28 +57,28 @@ class _Point(Schema):
 
 
 class Learner(Protocol):
-    """What learns from interaction."""
+    """Protocol of learners that learn from interaction."""
 
     method: str
 
     @property
     def replay(self) -> Replay | None:
-        """What it has met; None where a library keeps that for itself."""
+        """Steps stored so far; None if a library manages its own replay."""
 
     def learn(self, chunk: int, done: int, actions: int, episodes: int) -> tuple[int, int]:
-        """Act and learn for one chunk, as `ReplayLearner.learn` does; return actions done and episodes begun."""
+        """Act and learn for one chunk; return the numbers of actions executed and episodes started."""
 
     def take_losses(self) -> dict[str, float]:
-        """Return the mean losses since the last call, by name, and the policy's entropy where it has one."""
+        """Return the mean losses since the last call, by name, and the policy's entropy if it has one."""
 
     def candidates(self) -> Mapping[str, LatentController | NetworkPolicy]:
-        """Return what may be deployed now, by name; the first is the last policy that is kept, and curves show it."""
+        """Return the deployable policies by name; the first is the one kept as last, and shown in curves."""
 
     def arrays(self) -> Arrays:
-        """Return what it goes on from."""
+        """Return the state for resuming."""
 
     def restore(self, arrays: Arrays, /) -> None:
-        """Take what `arrays` gave."""
+        """Restore the state returned by `arrays`."""
 
 
 class KoopmanTrainer:
@@ -87,13 +87,13 @@ class KoopmanTrainer:
     Args:
         learner: Learner of the run.
         problem: Problem to learn.
-        tested: Environment to evaluate in.
+        tested: Evaluation environment.
         options: Settings of the experiment.
         folder: Folder of the run.
-        manifest: Description of the run in its policies.
+        manifest: Description of the run for its policies.
         plan: Settings of the consolidation; None for none.
-        keep: Policy that is kept: the "best" of all candidates in the evaluations, or the "last" first candidate.
-        tell: Takes the chunks done and the work at hand, where that is no chunk.
+        keep: Policy to keep: the "best" of all candidates in the evaluations, or the "last" first candidate.
+        tell: Called with the number of finished chunks, and the current work if it is not a chunk.
     """
 
     def __init__(
@@ -119,9 +119,9 @@ class KoopmanTrainer:
         """Learn for one chunk, evaluate the candidates, and keep the best or the last.
 
         Returns:
-            `actions` and `episodes` so far, `steps` of the system, `returns` and `model_errors` of the candidates (see
-            `model_errors`), `best`, the return of the policy that is kept, its `best_actions`, `evaluated`, the
-            episodes and actions that these figures took, and `losses`.
+            `actions` and `episodes` so far, `steps` of the simulation, `returns` and `model_errors` of the candidates
+            (see `model_errors`), `best`, the return of the kept policy, its `best_actions`, `evaluated`, the episodes
+            and actions used by these evaluations, and `losses`.
         """
         before = curve[-1] if curve else {"actions": 0, "episodes": 0}
         problem = self._problem
@@ -143,7 +143,7 @@ class KoopmanTrainer:
         }
 
     def _evaluate(self, actions: int) -> tuple[dict[str, float], dict[str, float], list[Episode]]:
-        """Return returns and model errors of the candidates, and the episodes that this took."""
+        """Return the candidates' returns and model errors, and the episodes used."""
         returns: dict[str, float] = {}
         errors: dict[str, float] = {}
         everything: list[Episode] = []
@@ -179,7 +179,7 @@ class KoopmanTrainer:
             )
 
     def _read(self) -> tuple[LatentController | NetworkPolicy, Mapping[str, Any]]:
-        """Return the policy that is kept and its manifest."""
+        """Read the kept policy and its manifest."""
         file = self._folder / POLICY_FILE
         if self._best["kind"] == NetworkPolicy.__name__:
             network = NetworkPolicy.load(file)
@@ -193,7 +193,7 @@ class KoopmanTrainer:
         save_arrays(path, self._learner.arrays(), {**progress, "best": self._best})
 
     def load(self, path: Path, /) -> dict[str, Any]:
-        """Go on from a checkpoint and return its progress."""
+        """Load a checkpoint and return its progress."""
         arrays, progress = load_arrays(path)
         self._learner.restore(arrays)
         best, self._curve = progress.pop("best"), progress["curve"]
@@ -203,13 +203,12 @@ class KoopmanTrainer:
         return progress
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
-        """Evaluate the policy that is kept on fresh episodes, and consolidate it where that is wanted.
+        """Evaluate the kept policy on new episodes, and optionally consolidate it.
 
         Returns:
-            `best` (return, actions, which candidate), `interaction` (episodes and actions that were learnt from, and
-            those that the policy was chosen by, none for the last one), of fresh episodes `returns`, `outcomes` and,
-            where there is a model, the figures of `model_errors`, `consolidated` (the figures of consolidation, or
-            None) and `digests` of the policies.
+            `best` (return, actions, candidate), `interaction` (episodes and actions used for training and for
+            selection, none for the last policy), from new episodes `returns`, `outcomes` and, with a model, the metrics
+            of `model_errors`, `consolidated` (the metrics of consolidation, or None) and `digests` of the policies.
         """
         file, files, consolidated = folder / POLICY_FILE, [POLICY_FILE], None
         controller, manifest = self._read()
@@ -245,7 +244,7 @@ class KoopmanTrainer:
         self._tell(len(self._curve), what)
 
     def _distribution(self, controller: LatentController | NetworkPolicy) -> LatentDistribution | None:
-        """Return what learning saw, as a policy sees it now; None of pictures, and where nothing is latent."""
+        """Return the training distribution in a policy's latents; None for images and policies without latents."""
         replay = self._learner.replay
         if replay is None or self._problem.settings.crop or not isinstance(controller, LatentController):
             return None
@@ -256,10 +255,11 @@ class KoopmanTrainer:
 
 
 def model_errors(controller: LatentController, episodes: Sequence[Episode]) -> dict[str, float]:
-    """Return the one-step errors of a model on episodes without noise.
+    """Return the one-step errors of a model on noise-free episodes.
 
     Returns:
-        `model_error`, the mean square over all latent components, and `error_over_persistence`, see `horizon_errors`.
+        `model_error`, the mean squared error over all latent components, and `error_over_persistence`, see
+        `horizon_errors`.
     """
     z, actions = projected(controller.project, episodes)
     return {

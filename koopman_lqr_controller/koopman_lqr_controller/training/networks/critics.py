@@ -1,7 +1,7 @@
-"""SAC's two critics, computed together: hidden layers to a value, or residual layers to a distribution of values.
+"""SAC's two critics, computed jointly: plain hidden layers, or residual layers with a distribution of values.
 
-The second learns by cross entropy, whose gradients do not grow with the value (Farebrother et al. 2024); its normalised
-residual layers bear several updates for each action (Nauman et al. 2024; Lee et al. 2025).
+The second kind is trained by cross entropy, whose gradients do not grow with the value (Farebrother et al. 2024); its
+normalised residual layers tolerate several updates per action (Nauman et al. 2024; Lee et al. 2025).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from koopman_lqr_controller.training.settings import Settings
 _BLOCKS = 2
 _BINS = 101
 _LARGEST = 8.0
-"""Symmetric logarithm of the largest value that can be told, about 3000."""
+"""Symmetric logarithm of the maximum representable value, about 3000."""
 
 
 class _Twin(nn.Module):
     """Linear layers of two networks at once.
 
     Args:
-        sizes: Inputs and outputs of each layer.
-        halved: Whether all but the last are computed in bfloat16.
+        sizes: Numbers of inputs and outputs of each layer.
+        halved: Whether all layers but the last are computed in bfloat16.
     """
 
     def __init__(self, sizes: list[tuple[int, int]], halved: bool) -> None:
@@ -47,14 +47,14 @@ class _Twin(nn.Module):
 
 
 class TwinCritic(_Twin):
-    """Q_1 and Q_2 of Eq. 4.10 by hidden layers.
+    """Q_1 and Q_2 of Eq. 4.10, with plain hidden layers.
 
     Args:
-        inputs: Dimensions of the state that they see.
-        controls: Number of controls; 0 where the state that they see tells the action.
-        hidden: Units of each hidden layer.
-        normalised: Whether these have a LayerNorm, without parameters, before their ReLU.
-        halved: Whether these are computed in bfloat16.
+        inputs: Dimension of the critics' state.
+        controls: Number of controls; 0 if the state includes the action.
+        hidden: Number of units of each hidden layer.
+        normalised: Whether hidden layers have a parameter-free LayerNorm before their ReLU.
+        halved: Whether hidden layers are computed in bfloat16.
         depth: Number of hidden layers.
     """
 
@@ -75,7 +75,7 @@ class TwinCritic(_Twin):
         return self.values(torch.cat((z, u), dim=1))
 
     def values(self, x: Tensor) -> Tensor:
-        """Return both values (2, N) of states and actions in one (N, n + m)."""
+        """Return both values (2, N) of concatenated states and actions (N, n + m)."""
         x = self._inputs(x)
         for number in range(self._depth):
             x = self._layer(number, x)
@@ -83,18 +83,18 @@ class TwinCritic(_Twin):
         return self._layer(self._depth, x.float()).squeeze(-1)
 
     def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
-        """Return the mean squared error of both values against goals (N,), summed over the two."""
+        """Return the mean squared error of both values against targets (N,), summed over the two."""
         return (self(z, u) - goal).square().mean(dim=1).sum()
 
 
 class CategoricalCritic(_Twin):
-    """Q_1 and Q_2 of Eq. 4.10 as means of categorical distributions, by normalised residual layers.
+    """Q_1 and Q_2 of Eq. 4.10 as means of categorical distributions, with normalised residual layers.
 
     Args:
-        inputs: Dimensions of the state that they see.
+        inputs: Dimension of the critics' state.
         controls: Number of controls.
-        hidden: Units of each hidden layer.
-        halved: Whether these are computed in bfloat16.
+        hidden: Number of units of each hidden layer.
+        halved: Whether hidden layers are computed in bfloat16.
     """
 
     bins: Tensor
@@ -113,7 +113,7 @@ class CategoricalCritic(_Twin):
         return values
 
     def loss(self, z: Tensor, u: Tensor, goal: Tensor) -> Tensor:
-        """Return the cross entropy of both distributions against goals (N,), summed over the two."""
+        """Return the cross entropy of both distributions against targets (N,), summed over the two."""
         return cross_entropy(self._logits(z, u), goal.expand(2, -1), self.bins).mean(dim=1).sum()
 
     def _logits(self, z: Tensor, u: Tensor) -> Tensor:
@@ -130,7 +130,7 @@ def _normalised(x: Tensor) -> Tensor:
 
 
 def make_critic(observed: int, controls: int, settings: Settings) -> TwinCritic | CategoricalCritic:
-    """Return the untrained critics that the settings ask for, of observations (observed,) or of z."""
+    """Create the untrained critics selected by the settings, for observations (observed,) or z."""
     inputs = observed if settings.critic_input == "observation" else settings.latent
     sizes, halved = (inputs, controls, settings.hidden), settings.bfloat16 == "all"
     if settings.critic == "categorical":

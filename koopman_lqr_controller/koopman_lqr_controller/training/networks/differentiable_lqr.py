@@ -9,14 +9,14 @@ import torch
 from torch import Tensor, nn
 
 _INITIAL_DECAY = 0.95
-"""A begins as so much of the identity: with independent normal entries its spectral radius would begin at about 6."""
+"""Initial multiple of the identity in A; with independent normal entries its spectral radius would be about 6."""
 _INITIAL_INFLUENCE = 0.1
 
 
 def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iterations: int) -> tuple[Tensor, Tensor]:
     """Return K (m, n) and k (m,) of u = k - K z for the goal z_ref (n,) after M `iterations` of Algorithm 1.
 
-    `riccati.finite_horizon` is the same without gradients.
+    See `riccati.finite_horizon` for the same without gradients.
     """
     P, v = torch.diag(Q), Q * z_ref
     R_full, Q_full = torch.diag(R), torch.diag(Q)
@@ -32,15 +32,15 @@ def riccati_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, z_ref: Tensor, iter
 
 
 def _solved(M: Tensor, Y: Tensor) -> Tensor:
-    """Return X of M X = Y; on a GPU a singular M is not refused, as a CUDA graph cannot wait for an answer."""
+    """Return X of M X = Y; on a GPU a singular M is not detected, because a CUDA graph cannot wait for the check."""
     X: Tensor = torch.linalg.solve_ex(M, Y, check_errors=not M.is_cuda)[0]
     return X
 
 
 def doubled_gain(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, doublings: int = 6) -> Tensor:
-    """Return K (m, n) of `riccati_gain` after 2 ** doublings - 1 iterations, for all purposes the infinite horizon's.
+    """Return K (m, n) of `riccati_gain` after 2 ** doublings - 1 iterations, practically the infinite horizon.
 
-    Structure-preserving doubling (Chu, Fan, Lin 2005): of each step's map over one stretch of time comes that over two.
+    Structure-preserving doubling (Chu, Fan, Lin 2005): each step doubles the time span of the map.
     """
     stretch, P = A, torch.diag(Q)
     G, eye = (B / R) @ B.T, torch.eye(len(Q), dtype=A.dtype, device=A.device)
@@ -78,7 +78,7 @@ class LatentLqr(nn.Module):
         return riccati_gain(self.A, self.B, self.log_Q.exp(), self.log_R.exp(), z_ref, self.iterations)
 
     def predict(self, z: Tensor, u: Tensor) -> Tensor:
-        """Return the next z (N, n) of z (N, n) and actions (N, m) (Eq. 4.6)."""
+        """Return the next z (N, n) for z (N, n) and actions (N, m) (Eq. 4.6)."""
         return z @ self.A.T + u @ self.B.T
 
     def model_loss(self, z: Tensor, u: Tensor, z_next: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Losses of an encoder besides the task's: contrastive (thesis Eq. 4.4), or an autoencoder's (4.3.5); augmentations."""
+"""Additional encoder losses: contrastive (thesis Eq. 4.4) or autoencoder (4.3.5); augmentations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from koopman_lqr_controller.training.settings import Settings
 
 
 def info_nce(queries: Tensor, keys: Tensor, W: Tensor) -> Tensor:
-    """Return the mean of -log of Eq. 4.4: how badly each query finds its own key among all keys.
+    """Return the mean of -log of Eq. 4.4, the cross entropy of matching each query to its own key.
 
     Args:
-        queries: z^q (N, n).
-        keys: z^k (N, n); row i belongs to query i, all others are its negatives.
+        queries: Queries z^q (N, n).
+        keys: Keys z^k (N, n); row i belongs to query i, all others are its negatives.
         W: Matrix of the bilinear similarity z^q^T W z^k (n, n).
     """
     similarity = queries @ W @ keys.T
@@ -25,24 +25,24 @@ def info_nce(queries: Tensor, keys: Tensor, W: Tensor) -> Tensor:
 
 
 def noisy(x: Tensor, eta: float, generator: torch.Generator) -> Tensor:
-    """Return x + dx, dx uniform in -eta |x| .. eta |x| (Eq. 4.5).
+    """Return x + dx, with dx uniform in -eta |x| .. eta |x| (Eq. 4.5).
 
     Args:
         x: Observations (N, ...).
         eta: Relative size of the noise.
-        generator: On the CPU.
+        generator: Generator on the CPU.
     """
     share = torch.rand(x.shape, generator=generator).to(x.device)
     return x + eta * x.abs() * (2.0 * share - 1.0)
 
 
 def random_crop(images: Tensor, size: int, generator: torch.Generator) -> Tensor:
-    """Return from each image a window of its own, drawn uniformly.
+    """Crop each image to a uniformly random window.
 
     Args:
-        images: (N, channels, height, width).
+        images: Images (N, channels, height, width).
         size: Rows and columns of a window.
-        generator: On the CPU.
+        generator: Generator on the CPU.
     """
     count, _, height, width = images.shape
     tops = torch.randint(height - size + 1, (count,), generator=generator).tolist()
@@ -52,15 +52,15 @@ def random_crop(images: Tensor, size: int, generator: torch.Generator) -> Tensor
 
 
 class EncoderBatch(NamedTuple):
-    """A batch, as encoders see it.
+    """A batch in the form required by encoder losses.
 
     Attributes:
-        query: Observations, augmented where the loss contrasts or they are images (N, ...).
-        key: The same observations, augmented in another way.
+        query: Observations, augmented for a contrastive loss or images (N, ...).
+        key: The same observations with another augmentation.
         u: Actions (N, m).
-        x_next: Observations that followed.
+        x_next: Next observations.
         key_encoder: The momentum encoder.
-        model: A and B, where there is a model.
+        model: A and B, if there is a model.
     """
 
     query: Tensor
@@ -75,7 +75,7 @@ class Contrast(nn.Module):
     """InfoNCE (Eq. 4.4) against the momentum encoder's keys.
 
     Attributes:
-        augments: Whether observations that are vectors get noise.
+        augments: Whether vector observations are augmented by noise.
         W: Matrix of the bilinear similarity (n, n).
     """
 
@@ -86,23 +86,23 @@ class Contrast(nn.Module):
         self.W = nn.Parameter(torch.rand(latent, latent))
 
     def forward(self, z: Tensor, seen: EncoderBatch) -> Tensor:
-        """Return the loss of z, the encoder's of `seen.query`."""
+        """Return the loss for z, the encoding of `seen.query`."""
         with torch.no_grad():
             keys = seen.key_encoder(seen.key)
         return info_nce(z, keys, self.W)
 
 
 class Reconstruction(nn.Module):
-    """An autoencoder's: the mean squared error of what a decoder makes of z.
+    """Autoencoder loss: the mean squared reconstruction error of a decoder of z.
 
     Args:
-        seen: Shape of what an encoder looks at.
-        settings: Settings with the sizes of the layers.
-        predicts: Whether the model's next z has to give the next observation as well.
+        seen: Shape of the encoder's (cropped) input.
+        settings: Settings with the layer sizes.
+        predicts: Whether the model's next z must also reconstruct the next observation.
 
     Attributes:
-        augments: Whether observations that are vectors get noise.
-        decoder: From z back to the observation, normalised as the encoder does.
+        augments: Whether vector observations are augmented by noise.
+        decoder: Decoder from z to the observation, normalised as by the encoder.
     """
 
     augments = False
@@ -113,7 +113,7 @@ class Reconstruction(nn.Module):
         self._predicts = predicts
 
     def forward(self, z: Tensor, seen: EncoderBatch) -> Tensor:
-        """Return the loss of z, the encoder's of `seen.query`; no prediction is good because all z are alike."""
+        """Return the loss for z, the encoding of `seen.query`; collapsed latents do not reduce the prediction loss."""
         loss = nn.functional.mse_loss(self.decoder(z), seen.key_encoder.normalise(seen.query))
         if self._predicts and seen.model is not None:
             predicted = self.decoder(seen.model.predict(z, seen.u))
@@ -122,7 +122,7 @@ class Reconstruction(nn.Module):
 
 
 def make_encoder_loss(encoder: TorchEncoder, settings: Settings) -> Contrast | Reconstruction | None:
-    """Return the untrained loss that the settings ask for; None for none."""
+    """Create the untrained loss selected by the settings, or None."""
     if settings.encoder_loss == "nothing":
         return None
     if settings.encoder_loss == "contrastive":

@@ -1,4 +1,4 @@
-"""The networks around the linear controller: encoders of vectors and of images, and their decoder."""
+"""The networks around the linear controller: encoders of vectors and images, and their decoder."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from koopman_lqr_controller.models import encoder as deployed
 
 _KERNEL = 3
 _LEAST_DEVIATION = 1e-3
-"""Added to the deviation of what is observed: a component may stay as it is."""
+"""Term added to the standard deviation of observations, since a component may be constant."""
 
 
 class TorchEncoder(nn.Module):
-    """psi: normalise, hidden layers with ReLU, a linear layer, LayerNorm; its weights begin at random.
+    """Encoder psi: normalisation, hidden layers with ReLU, a linear layer, LayerNorm; randomly initialised.
 
     Args:
-        shape: (n,) of a vector or (channels, height, width) of an image.
-        latent: Dimensions of z.
-        hidden: Units of each hidden layer of a vector's encoder.
-        depth: Hidden layers, or convolutions of an image.
-        middle: Value that becomes 0; broadcasts to `shape`.
-        unit: Distance above the middle that becomes 1.
-        crop: Rows and columns of an image that are looked at, its middle; None for all, and for vectors.
-        halved: Whether all but the last layer is computed in bfloat16 while it trains.
-        normalised: Whether a vector's hidden layers have a LayerNorm before their ReLU.
-        behind: Hidden layers, of so many units too, between the features and the last linear layer.
+        shape: Shape (n,) of a vector or (channels, height, width) of an image.
+        latent: Dimension of z.
+        hidden: Number of units of each hidden layer for vectors.
+        depth: Number of hidden layers, or of convolutions for images.
+        middle: Value that maps to 0; broadcasts to `shape`.
+        unit: Distance from `middle` that maps to 1.
+        crop: Size of the central crop of an image; None for no crop, and for vectors.
+        halved: Whether all but the last layer are computed in bfloat16 in training.
+        normalised: Whether hidden layers for vectors have a LayerNorm before their ReLU.
+        behind: Number of hidden layers, of the same size, between the features and the last linear layer.
     """
 
     middle: Tensor
@@ -63,11 +63,11 @@ class TorchEncoder(nn.Module):
         self.layers, self._split = nn.Sequential(*body, *head, *last), len(body)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return z (N, latent) of observations (N, *shape), or of images that are cropped already."""
+        """Return z (N, latent) for observations (N, *shape), or for cropped images."""
         return self.latent(self.features(x))
 
     def features(self, x: Tensor) -> Tensor:
-        """Return the features of observations (N, *shape), or of images that are cropped already."""
+        """Return the features of observations (N, *shape), or of cropped images."""
         x = self.normalise(x)
         if x.dim() == 4:  # colours last: quicker
             x = x.contiguous(memory_format=torch.channels_last)
@@ -76,7 +76,7 @@ class TorchEncoder(nn.Module):
         return y
 
     def latent(self, features: Tensor) -> Tensor:
-        """Return z (N, latent) of features."""
+        """Return z (N, latent) for features."""
         with self._halved():
             y = self.head[:-1](features)
         z: Tensor = self.layers[-1](y.float())
@@ -89,7 +89,7 @@ class TorchEncoder(nn.Module):
 
     @property
     def head(self) -> nn.Sequential:
-        """Layers from the features on to z."""
+        """Layers from the features to z."""
         return nn.Sequential(*list(self.layers)[self._split :])
 
     def _halved(self) -> torch.autocast:
@@ -97,11 +97,11 @@ class TorchEncoder(nn.Module):
 
     @property
     def seen(self) -> tuple[int, ...]:
-        """Shape of what is looked at."""
+        """Shape of the (cropped) input."""
         return self.shape if self.crop is None else (self.shape[0], self.crop, self.crop)
 
     def normalise(self, x: Tensor) -> Tensor:
-        """Return what the first layer gets (N, *seen)."""
+        """Return the input of the first layer (N, *seen)."""
         if self.crop is not None:
             x = centre_crop(x, self.crop)
         return (x - self.middle) / self.unit
@@ -114,15 +114,15 @@ class TorchEncoder(nn.Module):
 
 
 class RunningScale(nn.Module):
-    """Mean and deviation of all observations so far, one at a time (Welford 1962).
+    """Running mean and standard deviation of all observations so far, updated one at a time (Welford 1962).
 
     Args:
-        size: Components of an observation.
+        size: Number of components of an observation.
 
     Attributes:
         count: Number of observations.
-        mean: Their mean (n,).
-        squares: Sum of their squared distances from it (n,).
+        mean: Mean (n,).
+        squares: Sum of squared deviations from the mean (n,).
     """
 
     count: Tensor
@@ -143,7 +143,7 @@ class RunningScale(nn.Module):
         self.squares += distance * (x - self.mean)
 
     def give(self, encoders: Iterable[TorchEncoder]) -> None:
-        """Make encoders scale by what was seen."""
+        """Set the scale of encoders from the statistics."""
         deviation = (self.squares / self.count).sqrt() + _LEAST_DEVIATION
         for encoder in encoders:
             encoder.middle.copy_(self.mean)
@@ -151,10 +151,10 @@ class RunningScale(nn.Module):
 
 
 def _check_sizes(shape: tuple[int, ...], crop: int | None, depth: int) -> None:
-    """Refuse pictures of which nothing is left to look at.
+    """Raise if nothing would be left of the images.
 
     Raises:
-        KoopmanError: names the setting.
+        KoopmanError: Names the setting.
     """
     if crop is not None and crop > min(shape[1:]):
         raise KoopmanError(f"crop is {crop}: pictures are {shape[1]} x {shape[2]}")
@@ -166,7 +166,7 @@ def _check_sizes(shape: tuple[int, ...], crop: int | None, depth: int) -> None:
 
 
 def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
-    """Return the same layers without torch."""
+    """Convert layers to ones without torch."""
     out: list[deployed.Layer] = []
     modules = list(layers)
     for index, module in enumerate(modules):
@@ -186,10 +186,10 @@ def deploy_layers(layers: nn.Sequential) -> list[deployed.Layer]:
 
 
 class Decoder(nn.Module):
-    """Network from z back to the normalised observation: the encoder's layers in reverse.
+    """Network from z to the normalised observation, with the encoder's layers in reverse.
 
     Attributes:
-        layers: Layers in their order.
+        layers: Layers in order.
     """
 
     def __init__(self, seen: tuple[int, ...], latent: int, hidden: int, depth: int) -> None:
@@ -200,13 +200,13 @@ class Decoder(nn.Module):
             self.layers = nn.Sequential(*_transposed_convolutions(seen, latent, depth))
 
     def forward(self, z: Tensor) -> Tensor:
-        """Return (N, *seen) of latent states (N, latent)."""
+        """Return the reconstruction (N, *seen) of latent states (N, latent)."""
         x: Tensor = self.layers(z)
         return x
 
 
 def dense(inputs: int, hidden: int, depth: int, normalised: bool = False) -> list[nn.Module]:
-    """Return hidden layers with ReLU, each with a LayerNorm before it where they are normalised."""
+    """Create hidden layers with ReLU, each optionally preceded by a LayerNorm."""
     out: list[nn.Module] = []
     for _ in range(depth):
         out += [nn.Linear(inputs, hidden), *([nn.LayerNorm(hidden)] if normalised else []), nn.ReLU()]
@@ -215,7 +215,7 @@ def dense(inputs: int, hidden: int, depth: int, normalised: bool = False) -> lis
 
 
 def _convolutions(shape: tuple[int, ...], depth: int) -> list[nn.Module]:
-    """Return convolutions, the first three with stride 2: a sixth of the work of one, at the sizes used here."""
+    """Create convolutions, the first three with stride 2, which take a sixth of the time of one at these sizes."""
     channels, out = shape[0], list[nn.Module]()
     for index in range(depth):
         out += [nn.Conv2d(channels, _filters(index), _KERNEL, stride=_stride(index)), nn.ReLU()]
@@ -232,12 +232,12 @@ def _stride(index: int) -> int:
 
 
 def _convolved(length: int, index: int) -> int:
-    """Return the rows that a convolution leaves of so many."""
+    """Return the number of rows after a convolution."""
     return (length - _KERNEL) // _stride(index) + 1
 
 
 def _transposed_convolutions(seen: tuple[int, ...], latent: int, depth: int) -> list[nn.Module]:
-    """Return what undoes `_convolutions`, rows and columns to the pixel."""
+    """Create the exact inverse shapes of `_convolutions`, by transposed convolutions."""
     channels, *size = seen
     sizes = [size]
     for index in range(depth):
@@ -263,12 +263,12 @@ def _array(tensor: Tensor) -> NDArray[np.float32]:
 
 
 def follow(slow: nn.Module, fast: nn.Module, rate: float) -> None:
-    """Move one module's parameters towards another's."""
+    """Move one module's parameters towards another's (Polyak averaging)."""
     with torch.no_grad():
         torch._foreach_lerp_(list(slow.parameters()), list(fast.parameters()), rate)
 
 
 def centre_crop(images: Tensor, size: int) -> Tensor:
-    """Return the middle window (..., size, size) of images (..., height, width)."""
+    """Return the central window (..., size, size) of images (..., height, width)."""
     top, left = ((length - size) // 2 for length in images.shape[-2:])
     return images[..., top : top + size, left : left + size]

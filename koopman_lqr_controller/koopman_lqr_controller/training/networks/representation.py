@@ -1,8 +1,8 @@
-"""A model that is there for what it makes learnt: embeddings of states, and of states with actions.
+"""An auxiliary model for representation learning: embeddings of states, and of states with actions.
 
-From the second, linear layers tell the next embedding, the reward and whether the episode ends, several steps ahead
-(MR.Q; Fujimoto et al. 2025). What predicts these is what values depend on, and it is learnt from every step, not only
-from those with rewards.
+From the latter, linear layers predict the next embedding, the reward and the end of the episode, several steps ahead
+(MR.Q; Fujimoto et al. 2025). Values depend on the same information, which is learnt here from every step rather than
+only from those with rewards.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from koopman_lqr_controller.training.networks.two_hot import cross_entropy, symm
 
 _BINS = 65
 _LARGEST = 10.0
-"""Symmetric logarithm of the largest reward that can be told, about 22,000."""
+"""Symmetric logarithm of the maximum representable reward, about 22,000."""
 _REWARD_WEIGHT = 0.1
 _END_WEIGHT = 0.1
 _Layer: TypeAlias = tuple[Tensor, Tensor]
@@ -27,10 +27,10 @@ class Representation(nn.Module):
     """Embedding of states with actions, and its linear prediction.
 
     Args:
-        features: Dimensions of the embedding of a state.
+        features: Dimension of a state's embedding.
         controls: Number of controls.
-        hidden: Units of each hidden layer, and dimensions of the embedding of a state with an action.
-        halved: Whether all is computed in bfloat16 but the losses.
+        hidden: Number of units of each hidden layer, and dimension of the embedding of a state with an action.
+        halved: Whether everything but the losses is computed in bfloat16.
     """
 
     bins: Tensor
@@ -48,18 +48,18 @@ class Representation(nn.Module):
         self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, features: Tensor, u: Tensor) -> Tensor:
-        """Return the embedding (N, hidden) of states, by their features (N, k), with actions (N, m)."""
+        """Return the embedding (N, hidden) of states, given by features (N, k), with actions (N, m)."""
         return self._embedding(features.to(self._kind), u.to(self._kind), *self._layers())
 
     def loss(self, features: Tensor, u: Tensor, reward: Tensor, later: Tensor, goes_on: Tensor) -> Tensor:
-        """Return the error of the predicted embeddings, rewards and ends, summed over H steps ahead.
+        """Return the error of predicted embeddings, rewards and ends, summed over H steps.
 
         Args:
-            features: Embeddings of the states that are begun with (N, k).
+            features: Embeddings of the initial states (N, k).
             u: Actions (N, H, m).
-            reward: Reward of each (N, H).
-            later: Embeddings of the states after each (N, H, k).
-            goes_on: Whether the episode goes on after each, 0 or 1 (N, H); what comes after its end does not count.
+            reward: Reward of each step (N, H).
+            later: Embeddings of the states after each step (N, H, k).
+            goes_on: Whether the episode continues after each step, 0 or 1 (N, H); steps after its end are ignored.
         """
         layers, head, end = self._layers(), self._rounded(self.head), self._rounded(self.end)
         features, actions, size = features.to(self._kind), u.to(self._kind), features.shape[1]
@@ -86,6 +86,6 @@ class Representation(nn.Module):
         return tuple(self._rounded(layer) for layer in (self.action, *self.body, self.last))
 
     def _rounded(self, layer: nn.Module) -> _Layer:
-        """Return weights and biases as they are computed with; once for all steps, as rounding takes time."""
+        """Return weights and biases in the precision of the computation, converted once for all steps to save time."""
         assert isinstance(layer, nn.Linear)
         return layer.weight.to(self._kind), layer.bias.to(self._kind)

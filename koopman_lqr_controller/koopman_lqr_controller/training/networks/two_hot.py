@@ -7,13 +7,13 @@ from torch import Tensor
 
 
 def symmetric_bins(largest: float, count: int) -> Tensor:
-    """Return the numbers (count,) that bins stand for, from -(e^largest - 1) to e^largest - 1, denser around 0."""
+    """Return the values (count,) of the bins, from -(e^largest - 1) to e^largest - 1, denser around 0."""
     steps = torch.linspace(-largest, largest, count)
     return steps.sign() * steps.abs().expm1()
 
 
 def two_hot(numbers: Tensor, bins: Tensor) -> Tensor:
-    """Return distributions (..., bins) over the two bins nearest to numbers (...), whose means are these."""
+    """Return distributions (..., bins) over the two bins nearest to numbers (...), with these numbers as means."""
     inside = numbers.clamp(bins[0], bins[-1]).contiguous()
     above = torch.searchsorted(bins, inside).clamp(1, len(bins) - 1)
     low, high = bins[above - 1], bins[above]
