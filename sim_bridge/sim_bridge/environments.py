@@ -32,16 +32,16 @@ Vector = NDArray[np.float32]
 class NavigationEnv(gymnasium.Env[Vector, Vector]):
     """One robot of a navigation task; episodes terminate at goal, collision or trap, and truncate at the step limit.
 
-    Observation, in SI units and this order (`observation_names`): the system's state by odometry, angles in [-pi, pi];
-    in a corridor also speed v and turn rate omega; then the lidar's beams, with the maximum range for no echo and the
-    minimum for one that is too close. Action: [-1, 1] for each command of the task, mapped to its bounds. Reward: the
-    task's rewards (thesis Eq. 3.9, 3.15, 3.17). Info: `outcome`, `state` (the true one), `clearance` [m] and, along a
+    Observation, in SI units and this order (`observation_names`): the system's state from odometry, angles in [-pi,
+    pi]; in a corridor also speed v and turn rate omega; then the lidar's beams, at maximum range without an echo and at
+    minimum range if too close. Action: [-1, 1] for each command of the task, mapped to its bounds. Reward: the task's
+    rewards (thesis Eq. 3.9, 3.15, 3.17). Info: `outcome`, `state` (the true one), `clearance` [m] and, along a
     corridor, `progress` from 0 to 1.
 
     Attributes:
         task: Task of the environment.
         world: Its simulated world.
-        observation_names: Names of the observation's components; beams are beam_0, beam_1 and so on.
+        observation_names: Names of the observation's components; beams are beam_0, beam_1, etc.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
