@@ -80,7 +80,7 @@ def joint_options(counts: Sequence[int]) -> Tensor:
 
 
 def allowed_cells(cells: Tensor, decisions: DecisionBatch, fixed: Tensor) -> Tensor:
-    """Return which cells (B, cells) have legal options of choosing agents, and `fixed` (B, N) of the others."""
+    """Return the cells (B, cells) with legal options of choosing agents and `fixed` (B, N) options of the others."""
     agents = torch.arange(cells.shape[1])
     legal = decisions.legal[:, agents, cells]
     same = cells[None] == fixed[:, None]
