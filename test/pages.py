@@ -27,8 +27,8 @@ _START = f"""
 set -eo pipefail -m
 trap 'for job in $(jobs -p); do kill -KILL -- -$job 2>/dev/null || true; done' EXIT
 . '{ROOT}/scripts/workspace.bash'
-mkdir docs && cp -r '{ROOT}/docs/results' docs/
-for shared in examples test scripts install .venv; do ln -s '{ROOT}'/$shared $shared; done
+mkdir docs && cp -r '{ROOT}/docs/results' docs/ && cp -r '{ROOT}/examples' examples
+for shared in test scripts install .venv; do ln -s '{ROOT}'/$shared $shared; done
 make() {{ command make -f '{ROOT}/Makefile' -o setup -o build -o build-demo RUN='set -eo pipefail;' "$@"; }}
 declare -A terminals=()
 terminal() {{  # NAME COMMAND: until the node has said something, or the patience for it is over
