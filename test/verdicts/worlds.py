@@ -140,7 +140,6 @@ def _differ(world: dict[str, Any], kind: str, random: np.random.Generator) -> No
     elif kind == "movers":
         x, y = random.uniform(-1.5, 1.5, 2)
         ends = [f"({x - 1.5:.2f}, {y + 1.0:.2f}) m", f"({x + 1.5:.2f}, {y - 1.0:.2f}) m"]
-        world["movers"] = [
-            {"radius": "0.25 m", "track": {"points": ends, "speed": "0.3 .. 0.6 m/s", "repeat": "back_and_forth"}}
-        ]
+        frames = [{"time": f"{8 * k}.0 s", "point": ends[k % 2]} for k in range(3)]  # through boxes, too
+        world["movers"] = [{"radius": "0.25 m", "keyframes": {"frames": frames}}]
     world["obstacles"] = [{"box": _words(box)} for box in boxes]
