@@ -161,7 +161,7 @@ def _recover(options: Recover) -> int:
 
 
 def _play(options: Play) -> int:
-    # Only playing needs an installed ROS.
+    # Only playing requires an installed ROS.
     from ctrl_rl_bags.recording.player import PlaybackOptions, play
 
     how = PlaybackOptions(

@@ -50,7 +50,7 @@ class Door:
         _open_standard_streams()
         set_handlers(self._end)
         module, _, function = self._target.rpartition(".")
-        if module == _MOVED:  # said here, because a page of help that was kept says nothing of it
+        if module == _MOVED:  # printed here, because a cached help page does not mention it
             _say(f"{program}: this command is now `ros2 run {MOVED_TO} {program}`")
 
         def work() -> int:
@@ -128,7 +128,7 @@ def _explain(program: str, error: Exception, failure: int) -> int:
     """Print an error in one line and return its exit code."""
     _discard_output()
     match error:
-        case BrokenPipeError():  # the reader of a pipe (head, less) has seen enough
+        case BrokenPipeError():  # the reader of a pipe (head, less) has closed it
             return 0
         case CtrlRlError():
             _say(f"{program}: {error}")
@@ -175,7 +175,7 @@ def _open_standard_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest free number
+            os.open(os.devnull, os.O_RDWR)  # uses the lowest free descriptor
             if getattr(sys, name) is None:
                 setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w"))
 

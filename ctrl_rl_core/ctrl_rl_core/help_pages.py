@@ -80,7 +80,7 @@ def _render(work: Callable[[], int], place: Path) -> int:
     if code == 0:
         packages = sorted({name.partition(".")[0] for name in sys.modules if name.startswith(_ROOTS)})
         page = {"packages": packages, "stamp": _stamp(packages), "text": text.getvalue()}
-        with suppress(OSError):  # nowhere to keep it
+        with suppress(OSError):  # no place for a cache
             place.parent.mkdir(parents=True, exist_ok=True)
             atomic_write(place, json.dumps(page))
     return code
@@ -96,7 +96,7 @@ def _place() -> Path:
 def _stamp(packages: list[str]) -> str:
     """Return a digest of the names and times of package files and of the folders of installed packages."""
     digest = hashlib.sha256(sys.version.encode())
-    for folder in filter(os.path.isdir, sys.path[1:]):  # the first is that of the executable
+    for folder in filter(os.path.isdir, sys.path[1:]):  # the first entry is the executable's folder
         digest.update(f"{folder} {os.stat(folder).st_mtime_ns}\n".encode())
     for package in packages:
         spec = find_spec(package)

@@ -30,7 +30,7 @@ def load_plugin(entry: EntryPoint, kind: type[Part], noun: str, error: type[Ctrl
     offered = f"{noun} '{entry.name}' ({entry.value})"
     try:
         part = entry.load()
-    except Exception as fault:  # whatever another package does while it is imported
+    except Exception as fault:  # importing another package may raise anything
         raise error(f"{offered} cannot be loaded: {one_line(fault)}") from None
     if not isinstance(part, kind):
         raise error(f"{offered} is no {kind.__module__}.{kind.__name__}")

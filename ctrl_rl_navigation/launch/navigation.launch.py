@@ -33,7 +33,7 @@ def generate_launch_description() -> LaunchDescription:
     clock = {"use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool)}
     view = PathJoinSubstitution([FindPackageShare("ctrl_rl_navigation"), "config", "navigation.rviz"])
     robot = ParameterValue(given["robot"], value_type=str)
-    # Of the robot where it is not given: a launch file cannot leave a parameter out.
+    # The robot's value by default: a launch file cannot omit a parameter.
     own = ("ctrl_rl_core.find_robot('", given["robot"], "').plan.speed")
     fastest = PythonExpression(["float('", given["max_speed"], "' or ", *own, ")"], ["ctrl_rl_core"])
     return LaunchDescription(

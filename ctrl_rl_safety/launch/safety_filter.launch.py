@@ -32,7 +32,7 @@ def generate_launch_description() -> LaunchDescription:
         "enable_stamped_cmd_vel": ParameterValue(given["stamped"], value_type=bool),
         "use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool),
     }
-    # Of the robot where it is not given: a launch file cannot leave a parameter out.
+    # The robot's value by default: a launch file cannot omit a parameter.
     own = ("ctrl_rl_core.find_robot('", given["robot"], "').speed")
     limit = PythonExpression(["float('", given["largest_speed"], "' or ", *own, ")"], ["ctrl_rl_core"])
     return LaunchDescription(

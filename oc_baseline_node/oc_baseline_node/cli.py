@@ -207,7 +207,7 @@ def _data(options: Data) -> int:
     from oc_baseline_node.value_data.workers import make_data
 
     problem = formulate(*_terms(options))
-    assert problem.task.optimal_control is not None  # without it there is no problem
+    assert problem.task.optimal_control is not None  # guaranteed by the problem
     wanted = problem.task.optimal_control.trajectories if options.trajectories is None else options.trajectories
     settings = DataSettings(wanted, seed=options.seed)
     print(*remarks(problem, Mpc(problem).rounded), sep="", end="")

@@ -59,7 +59,7 @@ class OcBaselineNode(ValueServer):
             CtrlRlError: The task does not exist, or the function belongs to another one.
         """
         given = self.settings["task"]
-        # A task that is none of the suite's is known by its file alone.
+        # A custom task is known only by its file.
         if given or function.task in task_names():
             task = load_navigation_task(given or function.task)
             if not check_function(function, task, self.KIND):

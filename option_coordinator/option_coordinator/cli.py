@@ -71,7 +71,7 @@ def _replay(options: ReplayOptions) -> int:
 def _draw(options: ReplayOptions, environment: OptionEnvironment) -> None:
     if options.timeline is None and options.animation is None:
         return
-    from option_coordinator.plots import draw_replay, draw_timeline  # matplotlib is not for robots
+    from option_coordinator.plots import draw_replay, draw_timeline  # matplotlib is not installed on robots
 
     title = f"{options.task}, {options.policy}"
     for file, draw in ((options.timeline, draw_timeline), (options.animation, draw_replay)):
@@ -98,5 +98,5 @@ def prepare_replay(options: ReplayOptions) -> tuple[OptionEnvironment, DecisionP
         settings["synchronisation"] = options.synchronisation
     if options.choose is not None:
         policy = replace(policy, greedy=options.choose == "mode")
-    generator = np.random.default_rng((options.seed, 1))  # not the world's own
+    generator = np.random.default_rng((options.seed, 1))  # the world has its own otherwise
     return make_environment(options.task, film=film, **settings), lambda decision: policy.choose(decision, generator)

@@ -28,7 +28,7 @@ from option_coordinator.errors import OptionError
 
 _FRAME_TIME = 0.12
 _LETTER, _LINE = 0.62, 1.3  # relative to the font size
-_SAME = 0.01  # relative to the picture: a gap that is not shown
+_SAME = 0.01  # relative to the figure; smaller gaps are not drawn
 
 
 def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> None:
@@ -38,7 +38,7 @@ def draw_timeline(environment: OptionEnvironment, title: str, path: Path) -> Non
         OptionError: No episode was played.
     """
     with picture(path, title, height=1.4 + 0.45 * len(environment.agents)) as (figure, ((ax,),)):
-        figure.draw_without_rendering()  # labels are as large as their bars
+        figure.draw_without_rendering()  # labels are scaled with their bars
         _draw_episode(ax, environment)
 
 

@@ -168,7 +168,7 @@ def _without_gaps(filled: Sequence[NDArray[np.int64]], first: int, last: int, ma
         gaps.append(np.stack((times[after], times[after + 1]), axis=1))
     spans, begin = [], first
     for gap in sorted(np.concatenate(gaps).tolist()):
-        near = int(gap[0] + min(max_age * 1e9, gap[1] - gap[0]))  # the sample before it counts so long
+        near = int(gap[0] + min(max_age * 1e9, gap[1] - gap[0]))  # the previous sample is valid for this long
         spans += [(begin, min(near, last))] if near >= begin else []
         begin = max(begin, gap[1])
     return [*spans, (begin, last)] if begin <= last else spans

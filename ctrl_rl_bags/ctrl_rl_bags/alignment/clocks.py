@@ -76,7 +76,7 @@ def clock_runs(
         return [_mended(bag, plain, tell)]
     base = stamped[name]
     assert base.stamps is not None
-    cuts = _resets(base.stamps, 0 if paced else _RESET_NS)  # scans of one lidar never fall back
+    cuts = _resets(base.stamps, 0 if paced else _RESET_NS)  # stamps of one lidar never decrease
     bases = [base.some(rows) for rows in np.split(np.arange(len(base.times)), cuts)]
     runs: list[dict[str, TimeSeries]] = [{} for _ in bases]
     late: dict[str, list[NDArray[np.float64]]] = {}
@@ -93,7 +93,7 @@ def clock_runs(
             received = _to_clock(series.times[each], known)
             if by_stamp and series.stamps is not None:
                 stamps = series.stamps[each]
-                # Outside the reference's messages its clock is a guess: a simulation may have stood before the first.
+                # Outside the reference's messages its clock is extrapolated: a simulation may have been paused.
                 at = series.times[each]
                 met = (at >= known.times[0]) & (at <= known.times[-1]) if len(known.times) else np.zeros(len(at), bool)
                 late.setdefault(topic, []).append(
@@ -206,7 +206,7 @@ def _check_one_clock(bag: Bag, late: Mapping[str, NDArray[np.float64]], name: st
     alike = all(abs(each - off) < _LATE_S for each in middles.values())
     assert base.stamps is not None
     base_late = abs(float(np.median(base.times - base.stamps))) * 1e-9
-    # All others agree against the reference: it is the reference that is off. Of two, the recorder agrees with one.
+    # If all others disagree with it, the reference is off. Of two topics, the recorder agrees with one.
     if len(of_others) == len(wrong) and alike and (len(wrong) > 1 or abs(base_late - abs(off)) < base_late / 2.0):
         topic, other, off = name, topic, -off
     raise BagError(
@@ -253,6 +253,6 @@ def _to_clock(log: NDArray[np.int64], known: TimeSeries) -> NDArray[np.int64]:
         return log
     origin, first = known.times[0], known.stamps[0]
     x, at, value = ((each).astype(np.float64) for each in (log - origin, known.times - origin, known.stamps - first))
-    # Beyond the ends, the clock goes on at its mean pace; held still, it would let the future into the last row.
+    # Beyond its ends, the clock continues at its mean rate; holding it would leak the future into the last row.
     out = np.interp(x, at, value) + _pace(known) * (np.minimum(x, 0.0) + np.maximum(x - at[-1], 0.0))
     return first + np.round(out).astype(np.int64)

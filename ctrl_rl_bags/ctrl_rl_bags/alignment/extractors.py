@@ -56,9 +56,9 @@ def _usual(rates: Array) -> Array:
     padded = np.concatenate((np.full(_NEIGHBOURS, np.nan), rates, np.full(_NEIGHBOURS, np.nan)))
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1).copy()
     near[:, _NEIGHBOURS] = np.nan
-    ordered = np.sort(np.where(np.isnan(near), -1.0, near), axis=1)  # the missing first, the fast last
+    ordered = np.sort(np.where(np.isnan(near), -1.0, near), axis=1)  # missing fields first, fast changes last
     usual = ordered[:, -_DRAWS]
-    # At the ends of a drive few steps are around: the fastest but one counts there.
+    # Few steps surround those at the ends of a drive, so the second fastest is used there.
     return np.asarray(np.where(usual < 0.0, np.maximum(ordered[:, -_DRAWS + 1], 0.0), usual), dtype=np.float64)
 
 

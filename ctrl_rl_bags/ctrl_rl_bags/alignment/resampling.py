@@ -60,7 +60,7 @@ class TimeSeries:
         if self.jumps is None:
             return np.zeros(len(begins), dtype=np.bool_)
         after = self.jumps(self.times, self.values)
-        # Between the samples before and after a jump, nobody knows when it was.
+        # The time of a jump between two samples is unknown.
         left, right = self.times[after - 1], self.times[after]
         return np.asarray(np.searchsorted(left, ends) > np.searchsorted(right, begins, side="right"), dtype=np.bool_)
 
@@ -104,7 +104,7 @@ def resample(
 
 
 def _interpolate(series: TimeSeries, times: NDArray[np.int64]) -> NDArray[np.float64]:
-    # Relative to the first sample: 1e18 ns do not fit into a float's 53 bits.
+    # Relative to the first sample, because 1e18 ns exceed the 53 bits of a float.
     x = (times - series.times[0]).astype(np.float64)
     known = (series.times - series.times[0]).astype(np.float64)
     columns = []

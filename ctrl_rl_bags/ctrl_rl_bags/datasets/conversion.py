@@ -180,7 +180,7 @@ def _new_folder(output: Path) -> Iterator[Path]:
     try:
         yield temporary
         temporary.rename(output)
-    except OSError as error:  # of a full disk, which each library words in another way
+    except OSError as error:  # errors of a full disk, which each library words differently
         raise DatasetError(
             f"{output} cannot be written: {os.strerror(error.errno) if error.errno else error}"
         ) from None

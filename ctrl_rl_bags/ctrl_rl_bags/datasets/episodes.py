@@ -95,7 +95,7 @@ class EpisodeFrames:
         self._steps.append(step)
         self._count += 1
         if len(self._steps) > self._piece + 1:
-            # The last two scans stay: the end of the episode is not known yet.
+            # The last two scans are kept, because the end of the episode is not known yet.
             kept = self._steps[-2:], self._done[-1:]
             self._steps, self._done = self._steps[:-1], self._done[:-1]
             yield self._frames(last=False)

@@ -184,7 +184,7 @@ def states_of(odometry: NDArray[np.float64]) -> NDArray[np.float32]:
 
 def is_usable(numbers: NDArray[np.float64]) -> bool:
     """Return whether physical quantities are finite and plausible in size."""
-    return bool((np.abs(numbers) < 1e30).all())  # False of NaN
+    return bool((np.abs(numbers) < 1e30).all())  # false for NaN
 
 
 _KEY = "ctrl_rl"

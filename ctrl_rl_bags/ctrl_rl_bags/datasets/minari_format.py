@@ -206,21 +206,21 @@ class Writer:
 
     def abort(self) -> None:
         """Close the open file."""
-        with suppress(OSError, RuntimeError):  # of a file that is incomplete
+        with suppress(OSError, RuntimeError):  # raised for an incomplete file
             self._file.close()
         self._disk.close()
 
 
 def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
     """Yield a dataset's frames, a piece of an episode at a time; raise DatasetError or one of `FAULTS`."""
-    with open_file(folder / DATA, math.inf) as (_, size):  # it is no pipe, which would keep us waiting
+    with open_file(folder / DATA, math.inf) as (_, size):  # rejects a pipe, which would block
         pass
     with limited_memory(MEMORY + 2 * size), h5py.File(folder / DATA, "r") as file:
         for number in range(min(len(file), _MOST_EPISODES)):
             group = _member(file, f"episode_{number}", h5py.Group)
             source = int(group.attrs.get("source", 0))
             stored = {name: column for name, column in layout.columns.items() if name not in (DONE, IS_LAST)}
-            seen = f"infos/{ODOMETRY}" in group  # observations are the environment's then
+            seen = f"infos/{ODOMETRY}" in group  # observations are then those of the environment
             places = {name: f"infos/{name}" if seen else _place(name) for name in stored}
             arrays = {name: _array(group, places[name], column) for name, column in stored.items()}
             length = len(arrays[STAMP])
@@ -237,7 +237,7 @@ def _frames(
 ) -> Frames:
     last = end == length
     columns: dict[str, NDArray[np.generic]] = {name: array[first:end] for name, array in arrays.items()}
-    if last and len(arrays[ACTION]) < length:  # the last action repeats the one before, its reward is unknown
+    if last and len(arrays[ACTION]) < length:  # the last action repeats the previous one, and its reward is unknown
         columns[ACTION] = np.concatenate((columns[ACTION], arrays[ACTION][length - 2 : length - 1]))
         columns[REWARD] = np.append(columns[REWARD], np.nan)
     outcomes = columns[OUTCOME]

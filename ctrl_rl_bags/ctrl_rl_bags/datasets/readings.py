@@ -124,7 +124,7 @@ class ScanColumn:
         return ScanLayout(
             beams=beams,
             angle_min=scan.angle_min,
-            angle_increment=float(np.float32(scan.angle_increment * scan.beams / beams)),  # as the message has it
+            angle_increment=float(np.float32(scan.angle_increment * scan.beams / beams)),  # as in the message
             range_min=scan.range_min,
             range_max=min(scan.range_max, 1e30),
             frame=printable(frame),

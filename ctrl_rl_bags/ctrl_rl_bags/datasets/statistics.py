@@ -29,7 +29,7 @@ class Statistics:
         mean = np.where(known, numbers, 0.0).sum(axis=0) / np.maximum(count, 1)
         squares = (np.where(known, numbers - mean, 0.0) ** 2).sum(axis=0)
         total = np.maximum(self._count + count, 1)
-        # Chan, Golub, LeVeque 1979: mean and sum of squares of two sets from those of each.
+        # Chan, Golub, LeVeque 1979: mean and sum of squares of two sets from those of each set.
         self._squares += squares + (mean - self._mean) ** 2 * self._count * count / total
         self._mean += (mean - self._mean) * count / total
         self._count += count

@@ -171,7 +171,7 @@ class _Run:
         numbers = series.values[:, 0].astype(np.int64)
         changed = np.append(True, np.diff(numbers) != 0)
         began = series.times[np.maximum.accumulate(np.where(changed, np.arange(len(numbers)), 0))]
-        began = np.where(changed.cumsum() > 1, began, _ALWAYS)  # nobody knows when the first one began
+        began = np.where(changed.cumsum() > 1, began, _ALWAYS)  # the start of the first episode is unknown
         last = latest(series, self._times)
         known = np.maximum(last, 0)
         return np.where(last < 0, -1, numbers[known]), np.where(last < 0, _ALWAYS, began[known])
@@ -225,7 +225,7 @@ class _Run:
         if period is not None and not even(np.array([usual]), period).all():
             piece = piece[spaced(self._times[piece], np.arange(len(piece)) == 0, period)]
         fit = even(np.diff(self._times[piece]) * 1e-9, usual if period is None else period)
-        fit[-1:] |= self._outcomes[piece[-1:]] != 0  # an outcome may come at any time
+        fit[-1:] |= self._outcomes[piece[-1:]] != 0  # an outcome may arrive at any time
         return [each for each in np.split(piece, np.flatnonzero(~fit) + 1) if len(each) > 1]
 
     def _frames(self, rows: NDArray[np.intp]) -> Timeline:
@@ -264,7 +264,7 @@ class _Run:
         if not len(ended):
             return 0
         time = series.times[ended[0]]
-        seen = self._times[row + 1 : row + 2]  # a scan before the outcome would have been a frame, or a gap was there
+        seen = self._times[row + 1 : row + 2]  # a scan before the outcome would have been a frame, or there was a gap
         later = len(seen) > 0 and seen[0] <= time and self._number[row + 1] == self._number[row]
         return 0 if later or time - self._times[row] > LONGEST_NS else int(series.values[ended[0], 1])
 

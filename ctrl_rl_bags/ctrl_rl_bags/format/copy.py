@@ -38,7 +38,7 @@ def bag_topics(bag: Path | str | Bag) -> list[Topic]:
     out = []
     with open_bag(bag) as opened:
         for topic in opened.topics.values():
-            if not topic.definition:  # a bag from before MCAP names its types, but does not define them
+            if not topic.definition:  # bags that predate MCAP name their types but do not define them
                 text = opened.types([topic.name]).store.generate_msgdef(topic.type, ros_version=2)[0]
                 topic = replace(topic, definition=text, encoding="ros2msg")
             out.append(topic)

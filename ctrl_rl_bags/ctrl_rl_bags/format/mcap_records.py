@@ -155,7 +155,7 @@ def decompress_some(compression: str, data: bytes, size: int) -> bytes:
         if compression == "zstd":
             if zstandard.get_frame_parameters(data).content_size == size:
                 return _ZSTD.decompress(data)
-            # Without a size that it knows, `decompress` does not stop: 130 kB may become 4 GB.
+            # Without a maximum size, `decompress` has no limit: 130 kB may expand to 4 GB.
             with _ZSTD.stream_reader(data, read_across_frames=True) as reader:
                 return reader.read(size + 1)
         if compression == "lz4":

@@ -144,7 +144,7 @@ class McapFile:
         start = self.size
         self._append(b"".join([record, *index_records]))
         self._chunk_count += 1
-        # As bytes: as objects, an hour of them takes 21 MB.
+        # As bytes: as objects, an hour of recording would take 21 MB.
         self._chunk_indexes += _bytes(
             ChunkIndex(
                 chunk_length=len(record),

@@ -230,5 +230,5 @@ def parsed_qos(profiles: Any) -> tuple[Qos, ...]:
     """
     try:
         return tuple(dump_qos_v9(parse_qos(parse_yaml(profiles) if isinstance(profiles, str) else profiles)))
-    except Exception:  # a bag with wrong QoS profiles can still be read
+    except Exception:  # a bag with invalid QoS profiles is still readable
         return ()

@@ -245,7 +245,7 @@ class _Copy:
             if opcode == Opcode.DATA_END:
                 self._finished = _ends_well(stream, size)
                 return
-            if opcode not in OPCODES:  # zeros, say, where a power cut left a hole
+            if opcode not in OPCODES:  # e.g. zeros in a hole left by a power cut
                 self._found.dropped_bytes += size - stream.tell() + len(head)
                 return
             left = size - stream.tell()

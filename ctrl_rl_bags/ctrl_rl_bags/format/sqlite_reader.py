@@ -33,7 +33,7 @@ class SqliteReader:
         with open_regular(path) as (stream, _):
             if stream.read(len(_SQLITE_MAGIC)) != _SQLITE_MAGIC:
                 raise DamagedError("it is no sqlite3 file")
-        # Of the process: a row may be computed, and so be of any size.
+        # A process-wide limit: a row may be computed, and thus have any size.
         apsw.hard_heap_limit(2 * limits.open_bytes)
         self._reader = Sqlite3Reader(path)
         try:
@@ -99,7 +99,7 @@ def with_log(path: Path, log: Path, folder: Path, limits: Limits) -> Path:
     try:
         connection = apsw.Connection(str(copy))
         try:
-            for _ in connection.execute("pragma journal_mode=delete"):  # which writes the log into the file
+            for _ in connection.execute("pragma journal_mode=delete"):  # this writes the log into the file
                 pass
         finally:
             connection.close()

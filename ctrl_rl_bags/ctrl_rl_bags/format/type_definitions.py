@@ -69,7 +69,7 @@ class BagTypes:
                     raise DamagedError(f"the definition of {definition.type} is not the one of its type hash")
         except DamagedError:
             raise
-        except Exception as error:  # on strange definitions the code generator raises nearly anything
+        except Exception as error:  # the code generator may raise almost anything for malformed definitions
             raise DamagedError(f"a message definition cannot be used: {reason(error)}") from None
 
     def decode(self, data: bytes, kind: str) -> Any:
@@ -110,7 +110,7 @@ def _parsed(definition: Definition) -> dict[str, Any]:
         for part in text.split(_SEPARATOR)[1:] if text.startswith(f"{_SEPARATOR}IDL: ") else [f"\n{text}"]:
             out |= get_types_from_idl(part.partition("\n")[2])
         return out
-    except Exception as error:  # on strange definitions the parser raises nearly anything
+    except Exception as error:  # the parser may raise almost anything for malformed definitions
         raise DamagedError(f"the definition of {kind} cannot be read: {reason(error)}") from None
 
 

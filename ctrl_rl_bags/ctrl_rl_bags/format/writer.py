@@ -212,7 +212,7 @@ class BagWriter:
         try:
             try:
                 self._file.flush()
-            except OSError as error:  # these messages are lost, but what is on the disk can perhaps be finished
+            except OSError as error:  # these messages are lost, but the content on disk may still be finished
                 failure = error
             self._finish_file()
             write_metadata(self.folder, self._information(self._finished, self._finished_counts))
@@ -248,7 +248,7 @@ class BagWriter:
         file = self._file
         file.flush()
         summary = FileSummary(file.path.name, file.start, file.end, file.message_count)
-        # rosbag2 reads this record where a single file is opened without its folder.
+        # rosbag2 reads this record when a single file is opened without its folder.
         information = self._information([summary], file.message_counts)
         text = yaml.safe_dump(information, sort_keys=False, allow_unicode=True)
         file.add_metadata("rosbag2", {"serialized_metadata": text})

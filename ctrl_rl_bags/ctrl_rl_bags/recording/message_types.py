@@ -103,7 +103,7 @@ def _nested(name: str, text: str) -> Iterator[str]:
         found = _TYPE.match(line.partition("#")[0].strip())
         if found is None or (found[1] is None and _PRIMITIVE.fullmatch(found[2])):
             continue
-        # `Header` alone is the one name that needs no package.
+        # `Header` is the only name that is valid without a package.
         package = found[1][:-1] if found[1] else "std_msgs" if found[2] == "Header" else own_package
         yield f"{package}/msg/{found[2]}"
 

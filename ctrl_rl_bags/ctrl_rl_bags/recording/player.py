@@ -140,7 +140,7 @@ class _Player:
         skipped, before = 0, self._first
         for message in self._messages():
             gap, before = message.log_time - before, max(before, message.log_time)
-            if gap > _LONGEST_NS:  # the first messages of a simulation may have the time 0
+            if gap > _LONGEST_NS:  # the first messages of a simulation may have time 0
                 self._warn(f"{gap * 1e-9:.0f} s without messages are skipped")
                 skipped += gap
             due = begin + max(0, message.log_time - self._first - skipped) * 1e-9 / self._how.rate
@@ -161,7 +161,7 @@ class _Player:
         end = time.monotonic() + self._how.wait
         while time.monotonic() < end and not self._stop.is_set():
             if all(publisher.get_subscription_count() for publisher in self._publishers.values()):
-                # The other side finds out a little later; what is sent before that, it misses.
+                # The other side discovers the publisher slightly later, and misses earlier messages.
                 self._stop.wait(_SETTLE_S)
                 return
             self._stop.wait(0.02)

@@ -136,7 +136,7 @@ class TopicRecorder:
         publishers = self._node.get_publishers_info_by_topic(name)
         offers = [publisher for publisher in publishers if publisher.topic_type == recorded.type_name]
         if publishers and not offers:
-            # The middleware gives a process one type for each topic: the old one goes first.
+            # The middleware allows one type per topic and process, so the old subscription must go first.
             self._take(recorded, limit=self._queue_depth)
             self._node.destroy_subscription(recorded.subscription)
             del self._recorded[name]
@@ -147,7 +147,7 @@ class TopicRecorder:
         recorded.publishers = count
         self._say_others(name, recorded.type_name, publishers)
         qos = subscription_qos([publisher.qos_profile for publisher in offers], self._queue_depth)
-        # Only ever towards weaker requests: a stronger one would bring latched messages a second time.
+        # Only towards weaker requests, because a stronger one would receive latched messages again.
         if not offers or not _weaker(qos, recorded.qos):
             return
         self._take(recorded, limit=self._queue_depth)

@@ -63,7 +63,7 @@ class RecorderNode(SuiteNode):
             self._queue.set_custom_data(f"digest.{name}", digest)
         self._topics = TopicRecorder(self, self._queue, self._select, self.settings["queue_depth"])
         self._parameter_collector = ParameterCollector(self, self._queue)
-        # One timer for all: each time the executor wakes costs as much as what it does then.
+        # One timer for all, because each wake-up of the executor costs as much as the work itself.
         self.create_timer(_DISCOVERY_S, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._discover()
         self.get_logger().info(f"recording to {self._writer.folder}")
@@ -150,7 +150,7 @@ def _digests(texts: list[str]) -> dict[str, str]:
         try:
             with open_file(path, math.inf) as (file, _):
                 out[name] = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-            if name == "task":  # its content counts, as in policies and grids: who reads the bag compares with that
+            if name == "task":  # a digest of the content, as for policies and grids, for comparison by bag readers
                 with suppress(TaskError):
                     out[name] = task_digest(load_task(path))
         except OSError as error:

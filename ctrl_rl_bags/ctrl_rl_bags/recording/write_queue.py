@@ -41,7 +41,7 @@ class BagQueue:
         self._deadline = float("inf")
         self._closing = False
         self._error: BagError | None = None
-        # A disk that never answers must not keep the process.
+        # A disk that never responds must not block the process.
         self._thread = threading.Thread(target=self._work, name="bag_writer", daemon=True)
         self._thread.start()
 

@@ -96,8 +96,8 @@ class Commander:
         self.stopping: Callable[[], NDArray[np.float64]] = lambda: self.output.rest
         self.on_halt: Callable[[NDArray[np.float64], str], None] = lambda _command, _problem: None
         self.on_stale_input: Callable[[str], None] = lambda _problem: None
-        # Ages are measured on a steady clock, because the system clock may be set while the robot drives. The clock of
-        # a simulation may stand still: then `wall_timeout` counts, which is longer, since it may also be slow.
+        # Ages are measured on a steady clock, because the system clock may be adjusted while the robot drives. A
+        # simulated clock may stand still or run slowly: a longer limit, `wall_timeout`, then applies in wall time.
         simulated = node.get_parameter("use_sim_time").value
         self.clock = node.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._heard: dict[str, Time | None] = dict.fromkeys(needs)
@@ -237,7 +237,7 @@ class Commander:
     def _watch(self) -> None:
         """Stop the robot when an input times out."""
         if self._elapsed(self._begun) <= self.timeout:
-            return  # the inputs of a node that starts have some time to arrive
+            return  # allow time for the inputs to arrive at startup
         problem = self.stale_input()
         if problem:
             self.counts["stale"] += 1

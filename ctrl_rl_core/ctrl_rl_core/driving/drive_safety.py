@@ -51,7 +51,7 @@ class ObstacleStop:
     def reach(self, speed: float, age: float) -> float:
         """Return the stopping distance [m] at a speed [m/s], for a scan of the given age [s]."""
         room = speed * (self.delay + age) + 0.5 * speed * speed / self.deceleration
-        return room if room < _FARTHEST else _FARTHEST  # of NaN, too
+        return room if room < _FARTHEST else _FARTHEST  # also limits NaN
 
     def limit(self, command: Array, points: Array, v: float, age: float) -> tuple[Array, str]:
         """Return the safe part of a command (2,) and the reason for any reduction.
@@ -86,7 +86,7 @@ class ObstacleStop:
             return math.inf
         x, y, now = x[close], y[close], np.sqrt(now[close])
         bend = abs(curvature)
-        way = min(abs(room), math.tau / bend) if bend > 0.0 else abs(room)  # after a whole turn it repeats itself
+        way = min(abs(room), math.tau / bend) if bend > 0.0 else abs(room)  # the motion repeats after a full turn
         count = math.ceil(way * max(1.0 / _STEP, bend / _TURN_STEP))
         s = np.linspace(0.0, math.copysign(way, room), count + 1)[1:]
         turn = 0.5 * s * curvature

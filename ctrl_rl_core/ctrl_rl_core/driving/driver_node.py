@@ -270,7 +270,7 @@ class DriverNode(RobotNode):
             self._arrival.moved(now, self.robot.motion[0])
             if over := self._arrival.reason():
                 raise VelocityError(over)
-        assert self._odometry is not None  # the input is fit
+        assert self._odometry is not None  # guaranteed by the input checks
         sensors = Sensors(ranges, scan, self._odometry, None, None, self._sent, now)
         command = self.driver.command(sensors)
         return command if self.filter is None else self.filter(sensors, command)

@@ -55,7 +55,7 @@ class ThrustChannel:
     def refuse(self, message: RotorThrusts) -> str:  # noqa: D102 - see CommandChannel
         limit = self._settings["largest_thrust"]
         for name, value in (("t1", message.t1), ("t2", message.t2)):
-            if not 0.0 <= value <= limit:  # NaN, too
+            if not 0.0 <= value <= limit:  # also rejects NaN
                 return f"{name} is {value:.4g} N, not between 0 and largest_thrust {limit:g}"
         return ""
 

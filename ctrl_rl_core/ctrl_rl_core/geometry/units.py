@@ -136,7 +136,7 @@ def _number(part: str, whole: object, factor: float, unit: str) -> float:
     largest = _LARGEST.get(unit, 1e9)
     if not abs(value * factor) <= largest:
         raise ValueError(f"{short_repr(whole)} is too large: at most {largest:g} {unit} makes sense")
-    # 70 cm is 0.7 m, not 0.7000000000000001 m: equal quantities give equal digests.
+    # 70 cm must parse to 0.7 m, not 0.7000000000000001 m, so that equal quantities give equal digests.
     return value if factor == 1.0 else float(f"{value * factor:.15g}")
 
 

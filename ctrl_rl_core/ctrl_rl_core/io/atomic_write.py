@@ -22,7 +22,7 @@ def atomic_write(path: Path, content: bytes | str) -> None:
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
-        # As it comes it names the temporary file, or with a full disk none.
+        # The original error would name the temporary file or, on a full disk, none.
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)

@@ -76,7 +76,7 @@ def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str 
     except MemoryError:
         raise kind(f"{short_path(path)}: does not fit into the memory") from None
     except CtrlRlError as error:
-        if str(error).startswith(f"{short_path(path)}: "):  # from a reader within
+        if str(error).startswith(f"{short_path(path)}: "):  # raised by an inner reader
             raise kind(str(error)) from None
         fault = one_line(error)
     else:
@@ -93,11 +93,11 @@ def open_file(path: str | os.PathLike[str], largest: float) -> Iterator[tuple[Bi
         OSError: The file cannot be read.
     """
     try:
-        # A pipe would keep us waiting for somebody to write into it.
+        # Opening a pipe would block until someone writes to it.
         descriptor = os.open(Path(path).expanduser(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (FileNotFoundError, NotADirectoryError):
         raise FileError("there is no such file") from None
-    except (ValueError, RuntimeError) as error:  # a zero in the name, or no home
+    except (ValueError, RuntimeError) as error:  # a null byte in the name, or no home folder
         raise FileError(f"is not the name of a file ({error})") from None
     try:
         state = os.fstat(descriptor)
@@ -181,5 +181,5 @@ def available_memory() -> float:
             used = float(Path("/sys/fs/cgroup/memory.current").read_text(encoding="ascii"))
             bytes_ = min(bytes_, float(limit) - used)
     except (OSError, ValueError):
-        pass  # not Linux, or no such group: nothing is known, nothing is refused
+        pass  # not Linux, or no cgroup: the limit is unknown, so nothing is rejected
     return bytes_

@@ -79,7 +79,7 @@ class OutcomeLog(Generic[_Outcome]):
         if not same:
             stream.close()
             raise self._error(f"{short_path(self._file)}: another call adds to it: wait until it has ended, call again")
-        stream.write(self._whole)  # without half a line that a kill left
+        stream.write(self._whole)  # drop a partial line left by a kill
         stream.truncate()
         return stream
 
@@ -97,7 +97,7 @@ class OutcomeLog(Generic[_Outcome]):
         """
         content = parse_json(line)
         found = content.pop(DIGEST, None) if isinstance(content, dict) else None
-        if found is None and not self._last:  # of an earlier version
+        if found is None and not self._last:  # written by an earlier version
             return content
         if found != digest({"before": self._last, "line": content}):
             raise FileError("a line does not match its digest: it is damaged, or was changed by hand")
@@ -107,7 +107,7 @@ class OutcomeLog(Generic[_Outcome]):
     def _read(self, settings: Mapping[str, Any]) -> None:
         with raise_as(self._error, self._file, "delete it to have its drives made again"):
             text = as_text(read_bytes(self._file, _LARGEST))
-            whole = text[: text.rfind("\n") + 1]  # a kill may leave half a line
+            whole = text[: text.rfind("\n") + 1]  # a kill may leave a partial line
             first, *others = whole.splitlines() or [""]
             before, *rest = [self._content(line) for line in (first, *others)]
             self.outcomes = [self._kind.validate_json(json.dumps(each)) for each in rest]

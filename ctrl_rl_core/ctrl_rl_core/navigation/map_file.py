@@ -111,16 +111,16 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
                 decoder, _, begin, terms = image.tile[0]
                 if decoder in ("ppm", "ppm_plain") and isinstance(terms, tuple):
                     return _netpbm(file, begin, (rows, columns, len(image.getbands())), int(terms[-1]), decoder), None
-                if image.mode.startswith("I"):  # 16 bits
+                if image.mode.startswith("I"):  # 16-bit image
                     return np.asarray(image, np.float32) / 65535.0, None
                 if image.mode in ("1", "L"):
                     return np.asarray(image.convert("L"), np.float32) / 255.0, None
                 pixels = np.asarray(image.convert("RGBA"))
-                # An editor adds a channel that is opaque everywhere, which must not make the unknown's grey lighter.
+                # An editor may add a fully opaque alpha channel, which must not lighten the grey of unknown cells.
                 transparent = bool((pixels[..., 3] != _OPAQUE).any())
         except (FileError, MemoryError):
             raise
-        except Exception as error:  # Pillow raises many kinds for a damaged file
+        except Exception as error:  # Pillow raises many error types for damaged files
             raise FileError(f"is no image that can be read ({type(error).__name__}): PGM, PNG or BMP") from None
     channels = pixels if transparent and with_alpha else pixels[..., :3]
     return channels.mean(axis=-1, dtype=np.float32) / 255.0, pixels[..., 3] == _OPAQUE if transparent else None
@@ -139,7 +139,7 @@ def _netpbm(file: BinaryIO, begin: int, shape: tuple[int, int, int], largest: in
     file.seek(begin)
     content, count = file.read(), shape[0] * shape[1] * shape[2]
     if decoder == "ppm_plain":
-        with catch_warnings(action="error"):  # of what is no number
+        with catch_warnings(action="error"):  # for non-finite values
             numbers = np.fromstring(re.sub(rb"#[^\r\n]*", b"", content), np.int64, sep=" ")[:count]
     else:
         numbers = np.frombuffer(content, ">u2" if largest > _LARGEST_BYTE else "u1", count)

@@ -65,7 +65,7 @@ class OccupancyMap:
             raise MapError(f"resolution {self.resolution}: must be {_RESOLUTION[0]:g} to {_RESOLUTION[1]:g} m")
         if not all(abs(number) <= _FARTHEST for number in self.origin):
             raise MapError(f"origin {self.origin}: must be three numbers within {_FARTHEST:g}")
-        cells = np.array(self.cells, np.int8)  # a copy of its own
+        cells = np.array(self.cells, np.int8)  # own copy
         cells.flags.writeable = False
         object.__setattr__(self, "cells", cells)
         object.__setattr__(self, "resolution", float(self.resolution))
@@ -200,7 +200,7 @@ class OccupancyMap:
             blocked = np.pad(blocked | (self.cells == UNKNOWN), 1, constant_values=True)
         if not blocked.any():
             return np.full(self.cells.shape, np.inf, np.float32)
-        from scipy.ndimage import distance_transform_edt  # takes long to load
+        from scipy.ndimage import distance_transform_edt  # slow import
 
         distance = np.maximum(distance_transform_edt(~blocked) - 0.5, 0.0) * self.resolution
         return (distance if unknown_is_free else distance[1:-1, 1:-1]).astype(np.float32)
@@ -220,7 +220,7 @@ class OccupancyMap:
 
 def _rectangles(occupied: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
     """Merge equal runs of cells in consecutive rows into rectangles: first row, end row, first column, end column."""
-    begun: dict[tuple[int, int], int] = {}  # first and end column of a run: the row that it began in
+    begun: dict[tuple[int, int], int] = {}  # maps a run's first and end column to the row in which it started
     out = []
     for row, cells in enumerate((*occupied, np.zeros(occupied.shape[1], np.bool_))):
         edges = np.flatnonzero(np.diff(cells, prepend=False, append=False)).tolist()

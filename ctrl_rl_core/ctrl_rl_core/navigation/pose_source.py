@@ -39,7 +39,7 @@ class OdometryTrack:
         """
         pose = Transform.from_message(message.pose.pose.position, message.pose.pose.orientation)
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        if self._stamps and stamp <= self._stamps[-1]:  # the simulation begun anew, or a clock was set
+        if self._stamps and stamp <= self._stamps[-1]:  # the simulation was restarted, or a clock was adjusted
             self._stamps, self._poses = [], []
         self._stamps.append(stamp)
         self._poses.append(pose)

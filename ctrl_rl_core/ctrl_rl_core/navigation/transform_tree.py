@@ -101,7 +101,7 @@ class _Link:
     samples: list[Transform] = field(default_factory=list)
 
     def add(self, stamp: int, transform: Transform, memory: int) -> None:
-        if self.stamps and abs(stamp - self.stamps[-1]) > memory:  # the clock was set, or the simulation begun anew
+        if self.stamps and abs(stamp - self.stamps[-1]) > memory:  # the clock was adjusted, or the simulation restarted
             self.stamps.clear()
             self.samples.clear()
         place = bisect_left(self.stamps, stamp)

@@ -50,7 +50,7 @@ class Line:
     @property
     def name(self) -> str:
         """Label with the number of seeds."""
-        return f"{self.label} (n\u00a0=\u00a0{len(self.values)})"  # not broken over two lines
+        return f"{self.label} (n\u00a0=\u00a0{len(self.values)})"  # not broken across lines
 
     @property
     def end(self) -> float:

@@ -88,7 +88,7 @@ def film(
         for artist in moving:
             figure.draw_artist(artist)
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))  # type: ignore[no-untyped-call]
-    palette = _palette(frames[len(frames) // 2])  # the same things move in all of them
+    palette = _palette(frames[len(frames) // 2])  # the same artists move in all frames
     first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     content = BytesIO()
     milliseconds = round(1000.0 * frame_time)

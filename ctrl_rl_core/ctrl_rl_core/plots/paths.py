@@ -83,7 +83,7 @@ def draw_robot(
 ) -> None:
     """Draw a robot to scale: its disc with its heading, or the bar of a planar quadrotor at its pitch."""
     x, y = np.asarray(place, dtype=float)
-    if flies:  # its bar lies across its thrust, at pitch psi clockwise
+    if flies:  # the bar is perpendicular to the thrust, at pitch psi clockwise
         reach = radius * np.array([np.cos(heading), -np.sin(heading)])
         axes.plot([x - reach[0], x + reach[0]], [y - reach[1], y + reach[1]], color="black", linewidth=2.5, zorder=7)
         return

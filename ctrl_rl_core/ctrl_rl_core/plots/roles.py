@@ -49,7 +49,7 @@ OTHER, SECOND_OTHER = Style(BLACK, "--", marker="^"), Style(BLACK, "-.", marker=
 NO_HELP = Style(FAINT, ":", marker="x")
 
 METHODS: Mapping[str, Style] = {
-    # rewards and baselines made of the time to reach
+    # rewards and baselines based on the time to reach
     **dict.fromkeys(("best_progress", "ttr_progress"), OURS),
     **dict.fromkeys(("progress", "ttr"), VARIANT),
     **dict.fromkeys(("best_progress_distance", "v_corrected"), SECOND_VARIANT),

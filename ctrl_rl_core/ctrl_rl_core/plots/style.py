@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 PIXELS_PER_INCH = 200
 _LINE_LENGTH = 60
-_RC: Any = {  # too long a list of names to spell as a type
+_RC: Any = {  # too many parameter names to spell out as a type
     "font.size": TEXT,
     "axes.titlesize": TEXT,
     "axes.titlelocation": "left",
@@ -111,7 +111,7 @@ def set_title(figure: Figure, title: str) -> None:
     if title.strip():
         width = int(_LINE_LENGTH * figure.get_figwidth() / FULL)
         lines = len(textwrap.wrap(title, width))
-        while len(textwrap.wrap(title, width - 1)) == lines:  # no line of one word at the end
+        while len(textwrap.wrap(title, width - 1)) == lines:  # avoid a last line with a single word
             width -= 1
         figure.suptitle("\n".join(textwrap.wrap(title, width)), x=0.01, horizontalalignment="left")
     elif title:
@@ -136,12 +136,12 @@ def save_figure(figure: Figure, path: Path) -> None:
 def settle(figure: Figure) -> None:
     """Lay out a figure, and move labels to where they cover nothing."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a tiny picture has no room for its panels
+        warnings.simplefilter("ignore", UserWarning)  # a tiny figure has no room for its panels
         figure.draw_without_rendering()
         for axes in figure.axes:
             place_names(axes)
-        figure.draw_without_rendering()  # names beside a panel take room from it
-        figure.set_layout_engine("none")  # what follows takes none
+        figure.draw_without_rendering()  # labels beside a panel take up space
+        figure.set_layout_engine("none")  # later additions take up none
         for axes in figure.axes:
             place_names(axes)
             place_words(axes)

@@ -91,7 +91,7 @@ def place_names(axes: Axes) -> None:
             if lack > 0.0:
                 centres[below] -= 0.5 * lack
                 centres[above] += 0.5 * lack
-        if sizes.sum() < axes.bbox.height:  # else there is no room for all beside the panel
+        if sizes.sum() < axes.bbox.height:  # otherwise not all of them fit beside the panel
             centres = np.clip(centres, low, high)
     for centre, index in zip(centres, order, strict=True):
         names[index].xyann = (6.0, (centre - ends[index]) / points)
@@ -144,7 +144,7 @@ def line_points(axes: Axes) -> NDArray[np.float64]:
             steps = np.arange(0.0, way[-1], _CLOSE)
             found.append(np.column_stack([np.interp(steps, way, column) for column in at.T]))
     every = np.vstack(found)
-    low, high = np.asarray(axes.bbox.min) - 1.0, np.asarray(axes.bbox.max) + 1.0  # what lies beyond is cut off
+    low, high = np.asarray(axes.bbox.min) - 1.0, np.asarray(axes.bbox.max) + 1.0  # points beyond are clipped
     return every[((every >= low) & (every <= high)).all(axis=1)]
 
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float32]
 FORMAT = "actor-1"
 _HEADER_KEY = "actor"
 _VECTORS = ("middle", "unit", "low", "high")
-_LAYER_NORM_EPSILON = np.float32(1e-5)  # torch's
+_LAYER_NORM_EPSILON = np.float32(1e-5)  # as in torch
 
 
 class _Header(Schema):

@@ -38,7 +38,7 @@ def load_onnx_policy(path: Path) -> NetworkPolicy:
     except ImportError:
         raise PolicyError(f"needs the package 'onnxruntime', which is not installed: {INSTALL}") from None
     try:
-        # A hostile model would keep this process busy beyond any signal, or take all memory: another one tries it.
+        # A hostile model could keep this process busy beyond any signal, or exhaust memory: it is tried in another one.
         run_limited("ctrl_rl_core.policies.onnx_trial", [str(manifest.size)], content, TIME, MEMORY + 8 * len(content))
     except LimitError as error:
         raise PolicyError(str(error)) from None

@@ -21,11 +21,11 @@ def open_model(onnxruntime: Any, content: bytes) -> Any:
         PolicyError: The content is not such a model.
     """
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1  # a robot's other nodes need the other cores
+    options.intra_op_num_threads = options.inter_op_num_threads = 1  # leave the other cores to the robot's other nodes
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # each of onnxruntime's own kinds
+    except Exception as error:  # any of onnxruntime's error types
         if "external" in str(error).lower():
             raise PolicyError("keeps its weights in another file: save model and weights as one") from None
         raise PolicyError(f"is no ONNX model: {one_line(error, 200)}") from None
@@ -44,7 +44,7 @@ def run_model(session: Any, observation: Any) -> Any:
     """
     try:
         return np.asarray(session.run(None, {session.get_inputs()[0].name: observation[None]})[0])
-    except Exception as error:  # each of onnxruntime's own kinds
+    except Exception as error:  # any of onnxruntime's error types
         raise PolicyError(f"the model fails: {one_line(error, 200)}") from None
 
 

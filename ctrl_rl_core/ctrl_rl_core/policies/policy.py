@@ -111,7 +111,7 @@ class NetworkPolicy:
         Raises:
             PolicyError: A component of the observation is missing.
         """
-        with np.errstate(all="ignore"):  # the node refuses what is not finite, and says so
+        with np.errstate(all="ignore"):  # the node rejects non-finite commands with a message
             return self._action.command(np.asarray(self._network(self._observe(sensors)), dtype=np.float64))
 
 
@@ -136,7 +136,7 @@ def shipped_policies() -> dict[str, Path]:
     """Return the policies shipped with the installed packages, by name."""
     shipped: dict[str, Path] = {}
     for entry in find_plugins(GROUP).values():
-        with suppress(PolicyError):  # a broken package is no reason not to drive by another one's policy
+        with suppress(PolicyError):  # a broken package must not prevent driving with another package's policy
             shipped |= sorted(_kind(entry).shipped().items())
     return shipped
 

@@ -50,7 +50,7 @@ class PolicyNodeDriver(NodeDriver):
         """
         now = sensors.time
         if self._is_due(now):
-            self._decided_at = math.nan  # after an error the next scan decides anew
+            self._decided_at = math.nan  # after an error, decide at the next scan
             self._command = self._decide(sensors)
             self._decided_at = now
         return self._command

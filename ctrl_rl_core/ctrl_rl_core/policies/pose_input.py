@@ -86,7 +86,7 @@ class PoseInput:
                 PoseWithCovarianceStamped, "amcl_pose", lambda message: self._try(localiser.on_pose, message), SENSOR
             )
         elif settings["pose"] == "tf":
-            from tf2_msgs.msg import TFMessage  # built with the workspace where no ROS is installed
+            from tf2_msgs.msg import TFMessage  # part of the workspace build if ROS is not installed
 
             tree = TransformTree()
             self._source = TransformPose(tree, settings["map_frame"], settings["pose_timeout"])

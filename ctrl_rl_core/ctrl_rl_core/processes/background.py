@@ -36,7 +36,7 @@ class Job(Generic[_Result]):
         """Do the work in this thread."""
         try:
             self.result = work(self)
-        except Exception as error:  # handed to the one that asked
+        except Exception as error:  # passed on to the requester
             self.error = error
         finally:
             self.finished.set()

@@ -34,7 +34,7 @@ def run_limited(module: str, words: Sequence[str], content: bytes, seconds: floa
     Raises:
         LimitError: The module failed (with the last line of its output), or exceeded a limit.
     """
-    with TemporaryDirectory(prefix="limited-") as folder:  # nothing lies there that a file could refer to
+    with TemporaryDirectory(prefix="limited-") as folder:  # an empty folder, so a file cannot refer to anything in it
         try:
             done = subprocess.run(
                 [sys.executable, "-m", module, *words, str(memory)],

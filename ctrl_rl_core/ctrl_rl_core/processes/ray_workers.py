@@ -108,7 +108,7 @@ def require_ray() -> Any:
     Raises:
         WorkersError: Ray is missing.
     """
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # Ray leaves CUDA_VISIBLE_DEVICES as it is
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # keeps Ray from changing CUDA_VISIBLE_DEVICES
     try:
         import ray
     except ModuleNotFoundError:
@@ -127,7 +127,7 @@ def _connected(address: str) -> Iterator[Any]:
         return
     try:
         host, _, port = address.rpartition(":")
-        if host and port.isdigit() and "/" not in host:  # Ray itself tries for minutes
+        if host and port.isdigit() and "/" not in host:  # Ray itself would retry for minutes
             socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
         ray.init(address=address, log_to_driver=False, logging_level="ERROR", configure_logging=True)
     except (ConnectionError, ValueError, RuntimeError, ImportError, OSError, OverflowError) as error:
@@ -193,7 +193,7 @@ def _said(
         try:
             answer = work(item, folder, lambda report: heard.put(("report", report, changes())))
             heard.put(("answer", answer, changes()))
-        except BaseException as error:  # raised again by whoever listens
+        except BaseException as error:  # raised again by the receiver
             heard.put(("error", error, {}))
 
     threading.Thread(target=run, daemon=True).start()

@@ -67,7 +67,7 @@ def map_in_processes(
                 "a worker process was killed: run the same command again, it goes on where this ended"
             ) from None
         except BaseException:
-            # Items under way are not waited for: they may take minutes, and may be continued by another run.
+            # Running items are not waited for: they may take minutes, and can be resumed by another run.
             for process in list((pool._processes or {}).values()):
                 process.terminate()
             raise

@@ -64,7 +64,7 @@ class Faults:
                 callback(*arguments)
             except ExternalShutdownException:
                 raise
-            except Exception as error:  # the node's other callbacks are still needed
+            except Exception as error:  # the node's other callbacks must keep working
                 self.failing.add(name)
                 self.note(name, error)
             else:

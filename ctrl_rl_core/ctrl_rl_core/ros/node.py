@@ -75,11 +75,11 @@ class SuiteNode(Node):
     SHARED_MEMORY: ClassVar[bool] = True
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        self.faults = Faults(self.on_callback_error, self.get_logger, self.FATAL)  # before the first callback
+        self.faults = Faults(self.on_callback_error, self.get_logger, self.FATAL)  # needed before the first callback
         self._refused_requests = 0
         self.executor_name = ""
         super().__init__(name, start_parameter_services=False, **kwargs)
-        for service in self.services:  # rclpy makes one by itself
+        for service in self.services:  # created by rclpy itself
             service.callback = self.faults.guard_service(service.callback, service.srv_name)
         self._checked_parameters = CheckedParameterService(self, self._refuse)
         self.settings = declare(self, self.PARAMETERS)
@@ -168,7 +168,7 @@ class SuiteNode(Node):
         """Return the node's status, including callback failures."""
         try:
             level, message, values = self.status()
-        except Exception as error:  # a failing status is itself a status
+        except Exception as error:  # a failing status is reported as a status
             self.faults.note("status", error)
             level, message, values = DiagnosticStatus.ERROR, "no status", {}
         values = {**values, "executor": self.executor_name}
@@ -207,7 +207,7 @@ class SuiteNode(Node):
                 if not isinstance(error, CtrlRlError):
                     self.faults.note(f"on_parameter_changed ({name})", error)
                 self.settings |= before
-                for other in taken:  # all or nothing: ROS keeps the old values of all of them
+                for other in taken:  # all or nothing: on failure ROS keeps all old values
                     self.on_parameter_changed(other)
                 return SetParametersResult(successful=False, reason=one_line(error))
             taken.append(name)

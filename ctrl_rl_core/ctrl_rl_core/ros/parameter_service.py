@@ -73,7 +73,7 @@ class CheckedParameterService(ParameterService):
                 return self._refusal(f"parameter '{message.name[:100]}' has a value of unknown type {kind}")
         try:
             result = self._get_node().set_parameters_atomically([Parameter.from_parameter_msg(m) for m in messages])
-        except Exception as error:  # rclpy has several for names and values that it does not take
+        except Exception as error:  # rclpy raises several types for invalid names and values
             return self._refusal(one_line(error))
         return result
 

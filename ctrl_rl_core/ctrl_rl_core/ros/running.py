@@ -119,7 +119,7 @@ def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
         _say(f"{program}: {error}", sys.stderr)
         return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
     except Exception as error:
-        if _stop.asked:  # an interrupted block reports that itself
+        if _stop.asked:  # reported by the interrupted block itself
             return 0
         _say(f"{program}: {'could not start' if node is None else 'failed'}: {one_line(error)}", sys.stderr)
         _explain(program)
@@ -211,7 +211,7 @@ def _spin(node: SuiteNode) -> None:
                 executor.spin_once(timeout_sec=_POLL_S)
             except ExternalShutdownException:
                 raise
-            except Exception as error:  # a message that cannot be taken, an answer that cannot be sent
+            except Exception as error:  # an unreadable message, or an answer that cannot be sent
                 if _stop.asked:
                     break
                 node.faults.note("executor", error)
@@ -221,7 +221,7 @@ def _spin(node: SuiteNode) -> None:
             if _stop.suspended:
                 _suspend(node)
     finally:
-        executor.shutdown()  # while its context lives: its finaliser would complain afterwards
+        executor.shutdown()  # before its context is destroyed, or its finaliser would complain
 
 
 def _suspend(node: SuiteNode) -> None:

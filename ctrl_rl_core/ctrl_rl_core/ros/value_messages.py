@@ -62,7 +62,7 @@ def slice_message(function: ValueFunction, at: Mapping[str, float], stamp: Time,
     out = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame))
     out.info.map_load_time = stamp
     out.info.resolution, out.info.width, out.info.height = float(resolution), columns, rows
-    # A cell is drawn around the point at which the value was taken.
+    # A cell is drawn around the point of its value.
     out.info.origin.position.x = first.lower - 0.5 * resolution
     out.info.origin.position.y = second.lower - 0.5 * resolution
     out.info.origin.orientation.w = 1.0

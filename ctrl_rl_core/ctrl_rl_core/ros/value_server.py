@@ -72,7 +72,7 @@ class ValueServer(SuiteNode):
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
         self._load(self.settings["grid"])
         self.create_subscription(Odometry, "odom", self._on_odometry, _EVERY_MESSAGE)
-        # Last, so that this publisher shows that the function is loaded and odometry is subscribed to.
+        # Created last, so that this publisher signals that the function is loaded and odometry is subscribed.
         self._values = self.create_publisher(StateValue, self.TOPIC, RESULT)
         self.create_service(QueryValues, "~/query", self._on_query)
         self.create_service(Trigger, "~/reload", self._on_reload)
@@ -129,14 +129,14 @@ class ValueServer(SuiteNode):
             raise ParameterError(f"parameter 'grid': {file} holds '{function.kind}', not '{self.KIND}'")
         reader, slice_ = OdometryReader(function.state_names), self._slice_of(function)
         valued = self.prepare(function)
-        function.value_and_gradient_at(np.zeros(len(function.state_names)))  # compiles before it counts
+        function.value_and_gradient_at(np.zeros(len(function.state_names)))  # compile before timing matters
         return function, reader, valued, slice_
 
     def _serve(self, function: ValueFunction, reader: OdometryReader, valued: Valued, slice_: OccupancyGrid) -> None:
         """Replace the current function, after all checks have passed."""
         self._function, self._reader, self._valued = function, reader, valued
         self._slice.publish(slice_)
-        # A network has none: its values at millions of nodes take half a minute, and odometry must not wait for them.
+        # A network has no grid yet: computing millions of nodes takes half a minute, and must not delay odometry.
         self._sampling = start_job(lambda _: function.grids)
         self._look.reset()
 
@@ -157,7 +157,7 @@ class ValueServer(SuiteNode):
         names = [
             "grid" if len(grids) == 1 else "_".join(("grid", *(axis.name for axis in grid.axes))) for grid in grids
         ]
-        for gone in set(self._grids) - set(names):  # latecomers must not get what is no longer served
+        for gone in set(self._grids) - set(names):  # late joiners must not receive a grid that is no longer served
             self.destroy_publisher(self._grids.pop(gone))
         for name, grid in zip(names, grids, strict=True):
             if name not in self._grids:

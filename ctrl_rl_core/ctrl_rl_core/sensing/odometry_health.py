@@ -59,7 +59,7 @@ class OdometryHealth:
         now, before, last = 1e-9 * stamp, self._stamp, self._numbers
         self._stamp, self._numbers = now, odometry.tolist()
         passed = now - before
-        if not 0.0 < passed <= _PAUSE:  # the first, a repetition, a pause, or a clock that was set
+        if not 0.0 < passed <= _PAUSE:  # the first message, a repetition, a pause, or an adjusted clock
             self._steps.clear()
             self._judged = now
             return self.fault

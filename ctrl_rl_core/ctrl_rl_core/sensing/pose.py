@@ -38,11 +38,11 @@ def read_pose(position: Any, orientation: Any) -> Array:
     out = np.array(numbers, np.float64)
     if not (np.abs(out[:3]) <= _FARTHEST).all():
         raise PoseError(f"a translation of {out[:3].tolist()} m")
-    with np.errstate(over="ignore"):  # of what is refused below
+    with np.errstate(over="ignore"):  # for values rejected below
         norm = math.sqrt(out[3:].dot(out[3:]))
     if not abs(norm - 1.0) <= _NORM_ERROR:
         raise PoseError(f"a quaternion of length {norm:.3g}: must be 1")
-    if abs(norm - 1.0) > _ROUNDING:  # others stay as they are, bit by bit
+    if abs(norm - 1.0) > _ROUNDING:  # leave others unchanged, bit by bit
         out[3:] /= norm
     return out
 

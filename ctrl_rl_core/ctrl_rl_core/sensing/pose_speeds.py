@@ -30,7 +30,7 @@ def speeds_from_poses(times: Times, poses: Array, cuts: NDArray[np.intp]) -> Arr
     """
     before = _rows_before(times, _SPAN_NS, cuts)
     rows = np.arange(len(times))
-    first = before == rows  # after a jump: the motion that follows is the nearest that is known
+    first = before == rows  # after a jump, use the motion that follows, the nearest known
     now = np.where(first & ~np.isin(rows + 1, cuts), np.minimum(rows + 1, len(rows) - 1), rows)
     passed = (times[now] - times[before]) * 1e-9
     moved = poses[now] - poses[before]

@@ -30,7 +30,7 @@ _KNOWN_BYTES = 16_000_000
 """Memory limit of the cached geometries [bytes]; the least recently used one is dropped first."""
 _RING = 1.5
 """Sectors farther apart than this multiple of the usual gap are not neighbours."""
-# Arrays, as NumPy takes a Python number or its own scalars in twice the time.
+# Arrays, because NumPy takes twice as long with a Python number or its own scalars.
 _ONE = np.array(1)
 _HALVES = np.array((0.5, 0.5))
 
@@ -117,10 +117,10 @@ class Sectors:
         measured(ranges, scan, values[:-1], self.far)
         values[-1] = np.nan
         values = values.take(beams.places)
-        values.sort(axis=1)  # NaN last
+        values.sort(axis=1)  # NaN is sorted last
         if self.reduce == "least":
             return self._filled(np.minimum(values[:, 0], self._far))
-        counts = values.argmax(axis=1)  # where the first NaN is
+        counts = values.argmax(axis=1)  # index of the first NaN
         middle = values.take((counts + beams.begins) >> _ONE)
         return self._filled(_HALVES.dot(np.minimum(middle, self._far)))
 
@@ -179,7 +179,7 @@ class Sectors:
         increment = opening * OPENING / beams
         half, turn = self.half_width + EDGE, _TURN / abs(increment)
         edge = half if increment > 0.0 else -half
-        begin = (self._middles - (angle_min + edge)) / increment % turn  # in beams, from the first
+        begin = (self._middles - (angle_min + edge)) / increment % turn  # in beams, relative to the first
         width = 2.0 * half / abs(increment)
         end = begin + width
         first = np.ceil(begin)

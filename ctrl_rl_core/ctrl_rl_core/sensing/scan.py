@@ -31,7 +31,7 @@ _FEW, _SOME = 2, 0.02
 """Allowed difference between a scan's beam count and its angles, absolute and relative: motor speeds vary."""
 _SMALLEST = 1e-6
 """Ranges up to this count as zero, regardless of range_min [m]."""
-# Arrays, as NumPy takes a Python number or its own scalars in twice the time.
+# Arrays, because NumPy takes twice as long with a Python number or its own scalars.
 _MISS, _TOO_CLOSE = np.array(0.0, np.float32), np.array(-np.inf, np.float32)
 _NOTHING, _UNKNOWN = np.array(np.inf), np.array(np.nan)
 

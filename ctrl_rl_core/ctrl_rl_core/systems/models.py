@@ -166,7 +166,7 @@ _X, _Y, _Z = Quantity("x", "m"), Quantity("y", "m"), Quantity("z", "m")
 
 DUBINS_CAR = SystemModel(
     states=(_X, _Y, _angle("theta")),
-    # Where its bounds coincide, v is held: the Dubins car of constant speed. Bounds like (-2, 2) free it for the MPC.
+    # With equal bounds, v is fixed: the Dubins car with constant speed. Bounds such as (-2, 2) free it for the MPC.
     controls=(Quantity("v", "m/s", 1.0, 1.0), Quantity("omega", "rad/s", -1.0, 1.0)),
     parameters=(),
     equations=dubins_car,

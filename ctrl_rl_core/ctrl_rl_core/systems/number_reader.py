@@ -69,7 +69,7 @@ def _takes_two(function: Callable[..., Any]) -> bool:
     """Return whether a function requires two positional arguments."""
     try:
         parameters = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):  # a built-in function that does not say
+    except (TypeError, ValueError):  # a built-in function without a signature
         return False
     needed = [each for each in parameters if each.kind <= each.POSITIONAL_OR_KEYWORD and each.default is each.empty]
     return len(needed) > 1

@@ -125,7 +125,7 @@ class System:
         for i, state in enumerate(self.states):
             if state.periodic:
                 angle = state.lower + np.mod(wrapped[..., i] - state.lower, state.upper - state.lower)
-                # The remainder of a tiny negative number rounds up to the whole period.
+                # The remainder of a tiny negative number rounds up to the full period.
                 wrapped[..., i] = np.where(angle >= state.upper, state.lower, angle)
         return wrapped
 
@@ -266,8 +266,8 @@ def _box_samples(quantities: tuple[Quantity, ...], counts: int | Sequence[int]) 
 
 @lru_cache(maxsize=32)
 def _compile(equations: Equations, parameters: tuple[tuple[str, float], ...]) -> Dynamics:
-    # Imported here: only the Hamilton-Jacobi solver needs Numba, every reader of a task imports this module.
+    # Imported here, since only the Hamilton-Jacobi solver needs Numba while every reader of a task imports this module.
     from numba import njit
 
-    # NumPy's error model: a division by zero gives inf, without a check in the inner loop.
+    # NumPy's error model: division by zero gives inf, without a check in the inner loop.
     return njit(error_model="numpy")(equations(scalar_math, dict(parameters)))

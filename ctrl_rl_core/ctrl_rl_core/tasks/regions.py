@@ -60,7 +60,7 @@ class Region:
         Raises:
             KeyError: The region constrains a component missing from `names`.
         """
-        self.contains(names, np.zeros(len(names)))  # refuses what it does not know
+        self.contains(names, np.zeros(len(names)))  # raises for unknown components
         bounds = [(list(names).index(name), name in ANGLES, *each) for name, each in self.intervals.items()]
         first, second = position_indices(names) if self.disc is not None else (0, 0)
 

@@ -79,8 +79,8 @@ def _draw_layout(
                 state = task.start.region.sample(system.state_names, random)
             apart = all(np.linalg.norm(state[place] - other[place]) >= distance for other in layout)
             apart = apart and all(disc.signed_distance(state[place]) >= radius + _GAP for disc in movers)
-            # The first robot may start anywhere in the start set: a long thin body may come nearer to a wall than its
-            # radius. It must not stand in a partition.
+            # The first robot may start anywhere in the start set: a long thin body may be closer to a wall than its
+            # radius. It must not start in a partition.
             anywhere = index == 0 and task.doorways is None
             if apart and (anywhere or world.signed_distance(state[place]) >= radius):
                 layout.append(state)

@@ -228,10 +228,10 @@ def task_digest(task: TaskHeader) -> str:
     left_out: dict[str, Any] = dict.fromkeys(_PROSE | {name for name in _YOUNG if not getattr(task, name, None)}, True)
     if isinstance(task, NavigationTask) and task.robot.footprint is None:
         left_out["robot"] = {"footprint"}
-    if isinstance(task, NavigationTask) and not task.system.states:  # as digests were before there was such a key
+    if isinstance(task, NavigationTask) and not task.system.states:  # compatible with digests that predate this key
         left_out["system"] = {"states"}
     content = task.model_dump_json(exclude=left_out)
     if isinstance(task, NavigationTask) and task.robot.robot is not None and "/" in task.robot.body:
-        # A robot of one's own counts by its numbers, wherever its file lies.
+        # A custom robot counts by its values, independently of the location of its file.
         content = content.replace(json.dumps(task.robot.body), json.dumps(task.robot.robot.digest), 1)
     return hashlib.sha256(content.encode()).hexdigest()

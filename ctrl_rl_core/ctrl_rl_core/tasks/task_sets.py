@@ -87,6 +87,6 @@ class TaskSets:
     def _contains(self, region: Region, states: NDArray[np.float64]) -> NDArray[np.bool_]:
         if self._path is None:
             return region.contains(self._names, states)
-        poses = states.reshape(-1, len(self._names))[:, :3]  # a corridor's systems begin with x, y, theta
+        poses = states.reshape(-1, len(self._names))[:, :3]  # the state of a corridor's system starts with x, y, theta
         along = np.array([self._path(pose) for pose in poses]).reshape(*states.shape[:-1], 3)
         return region.contains(PATH_NAMES, along)

@@ -18,10 +18,10 @@ Weights = NDArray[np.float64]
 Vector = NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Columns of the table that `axis_table` makes, one row an axis.
+# Columns of the table from `axis_table`, one row per axis.
 ORIGIN, LOWEST, HIGHEST, PER_UNIT, PERIOD, PER_PERIOD, LAST_CELL, COUNT, STRIDE = range(9)
 
-# NumPy's error model: no check for a division by zero.
+# NumPy's error model: no check for division by zero.
 _OPTIONS = {"error_model": "numpy"}
 
 
@@ -53,12 +53,12 @@ def inlined(function: Function) -> Function:
 @inlined
 def locate(axes: Axes, k: int, coordinate: float) -> tuple[bool, int, int, float]:
     """Locate a coordinate on axis k: whether it is inside, offsets of the lower and upper node, upper weight."""
-    # Free of branches: mispredicted ones cost several times the arithmetic.
+    # Branch-free, because mispredicted branches cost several times the arithmetic.
     position = (coordinate - axes[k, ORIGIN]) * axes[k, PER_UNIT]
     position -= np.floor(position * axes[k, PER_PERIOD]) * axes[k, PERIOD]
-    # The last comparison is false for NaN, which infinity becomes on a periodic axis.
+    # The last comparison is false for NaN, which results from infinity on a periodic axis.
     inside = coordinate >= axes[k, LOWEST] and coordinate <= axes[k, HIGHEST] and position == position
-    # Clipped before it becomes an integer, so that no state whatever can address memory outside the grid.
+    # Clipped before the conversion to an integer, so that no state can address memory outside the grid.
     cell = position if position > 0.0 else 0.0
     cell = cell if cell < axes[k, LAST_CELL] else axes[k, LAST_CELL]
     lower = int(cell)

@@ -119,7 +119,7 @@ def _gradient_beside_infinity(values: Values, axes: Axes, state: Vector, gradien
 @inlined
 def _locate_block(axis: Vector, coordinates: Vector, size: int, lower: Vector, upper: Vector, weights: Vector) -> None:
     """As `locate` on one axis, for the first `size` coordinates: node offsets, upper weights, NaN outside."""
-    # The axis in local variables and branch-free arithmetic on floats alone: so the compiler makes vectors of it.
+    # Local variables and branch-free float arithmetic let the compiler vectorise the loop.
     origin, per_unit, lowest, highest = axis[ORIGIN], axis[PER_UNIT], axis[LOWEST], axis[HIGHEST]
     period, per_period = axis[PERIOD], axis[PER_PERIOD]
     last_cell, count, stride = axis[LAST_CELL], axis[COUNT], axis[STRIDE]
@@ -170,7 +170,7 @@ def _mix(rows: int, size: int, weights: Vector, values: Any) -> None:
 @compiled
 def values_at(values: Values, axes: Axes, states: States, out: Vector) -> None:
     """Fill out (N,) with the values at the states (N, n)."""
-    # In blocks, of which the processor does several states in one instruction.
+    # In blocks, so that the processor handles several states per instruction.
     n = values.ndim
     _check_size(n, states.shape[1])
     corners = values.reshape(values.size)
@@ -185,7 +185,7 @@ def values_at(values: Values, axes: Axes, states: States, out: Vector) -> None:
             _mix(1 << k, size, weights[k], mixed)
         for i in range(size):
             out[first + i] = mixed[0, i]
-            if mixed[0, i] - mixed[0, i] != 0.0:  # outside, or beside +inf
+            if mixed[0, i] - mixed[0, i] != 0.0:  # outside, or next to +inf
                 out[first + i] = _value_beside_infinity(values, axes, states[first + i])
 
 
@@ -215,14 +215,14 @@ def gradients_at(values: Values, axes: Axes, states: States, out: Vector, gradie
             for k in range(n):
                 gradients[first + i, k] = slopes[k, 0, i] * axes[k, PER_UNIT]
                 total += slopes[k, 0, i]
-            if total - total != 0.0:  # outside, or beside +inf
+            if total - total != 0.0:  # outside, or next to +inf
                 out[first + i] = _gradient_beside_infinity(values, axes, states[first + i], gradients[first + i])
 
 
 @compiled
 def value_at(values: Values, axes: Axes, state: Vector) -> float:
     """Return the value at one state (n,); `values` is C-contiguous with n dimensions, `axes` from `axis_table`."""
-    # The arithmetic of `values_at` in the same order, without its blocks: one state takes half the time.
+    # Same arithmetic as `values_at` in the same order, without blocks, which halves the time for one state.
     n = values.ndim
     _check_size(n, state.size)
     offsets, weights = np.empty((n, 2), np.int64), np.empty((n, 2))

@@ -31,7 +31,7 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Callable[..., A
     """Compile a function at its first call, or load its code from disk; options as for `numba.njit`."""
     try:
         compiled: Any = njit(cache=True, **options)(function)
-    except RuntimeError:  # no writable cache folder: a read-only installation without a home
+    except RuntimeError:  # no writable cache folder: a read-only installation without a home folder
         compiled = njit(**options)(function)
     cache: Any = getattr(compiled, "_cache", None)
     if hasattr(cache, "_cache_file"):
@@ -76,7 +76,7 @@ def _turn(lock: Path) -> Iterator[None]:
     """Hold a lock file, if a cache folder exists and no other process holds the lock forever."""
     with ExitStack() as turn:
         deadline = time.monotonic() + _PATIENCE_S
-        while lock not in _compiling and time.monotonic() < deadline:  # it is where a function calls itself
+        while lock not in _compiling and time.monotonic() < deadline:  # already locked if the function calls itself
             try:
                 turn.enter_context(exclusive_lock(lock))
             except LockError:

@@ -77,7 +77,7 @@ class ValueGrid:
             "axes": tuple(self.axes),
             "notes": dict(self.notes),
             "_table": table,
-            # The kernels get the writable array: Numba would compile again for a read-only one.
+            # The kernels get the writable array, because Numba would recompile for a read-only one.
             "_own_values": values,
             "at": partial(value_at, values, table),
         }

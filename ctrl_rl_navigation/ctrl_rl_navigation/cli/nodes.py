@@ -145,7 +145,7 @@ def drive_through_nodes(file: Path, map_: OccupancyMap, options: Options, engine
                 while trials:
                     outcome = _drive(operator, maker, trials.pop(0).goal)
                     yield outcome
-                    if outcome.drive.collided:  # and from a new start
+                    if outcome.drive.collided:  # continue from a new start
                         break
     finally:
         rclpy.try_shutdown()

@@ -129,7 +129,7 @@ class Explorer:
         if self.value is None:
             return np.zeros(2)
         around = self._around(pose)
-        stuck = self._watch.stuck(now, pose) and not around[:, 2:].any()  # what moves is worth waiting for
+        stuck = self._watch.stuck(now, pose) and not around[:, 2:].any()  # waiting is useful if something is moving
         choice = self._ahead.choose(self.value, pose, self._command, around, self._plan, stuck)
         self._plan = choice.plan
         return choice.command

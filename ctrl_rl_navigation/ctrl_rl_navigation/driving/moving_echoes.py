@@ -109,7 +109,7 @@ def _groups(origin: Array, echoes: Array) -> list[slice]:
     for begin, end in pairwise(edges):
         part = slice(begin, end)
         extent = float(np.hypot(*(echoes[part].max(axis=0) - echoes[part].min(axis=0))))
-        # What stands before an edge of the group hides the rest of it.
+        # An object in front of a group's edge hides the rest of the group.
         hidden = begin > 0 and beside[begin - 1] and ranges[begin - 1] < ranges[begin]
         hidden |= end < len(echoes) and beside[end - 1] and ranges[end] < ranges[end - 1]
         small = end - begin >= _LEAST_ECHOES and _SIZES[0] <= extent <= _SIZES[1]

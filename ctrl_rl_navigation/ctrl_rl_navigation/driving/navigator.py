@@ -212,7 +212,7 @@ class Navigator:
         if goal.heading is not None:
             error = math.remainder(goal.heading - float(pose[2]), 2.0 * math.pi)
             if abs(error) > self.options.heading_tolerance:
-                # A rate from which the robot comes to rest at the heading, at half of its acceleration.
+                # A rate from which the robot can stop at the heading with half of its acceleration.
                 rate = min(self.limits.turn_rate, math.sqrt(self.limits.turn_acceleration * abs(error)))
                 most = self.limits.turn_acceleration * self.options.period
                 turn = math.copysign(min(rate, 2.0 * abs(error)), error)

@@ -78,11 +78,11 @@ class ObstacleLayer:
         kept = self.points() - pose[:2]
         away = np.hypot(kept[:, 0], kept[:, 1])
         bearing = np.arctan2(kept[:, 1], kept[:, 0]) - pose[2]
-        seen_to = np.zeros(_BINS)  # nothing is known where a beam has no echo
+        seen_to = np.zeros(_BINS)  # nothing is known along beams without an echo
         bins = _bin(np.arctan2(points[:, 1], points[:, 0]))
         order = np.argsort(-np.hypot(points[:, 0], points[:, 1]))  # the nearest echo of a bin is written last
         seen_to[bins[order]] = np.hypot(points[order, 0], points[order, 1])
-        # The beams beside count as well, because an obstacle's edge is displaced by an error of the heading.
+        # Neighbouring beams count as well, because heading errors displace an obstacle's edge.
         least = np.minimum(seen_to, np.minimum(np.roll(seen_to, 3), np.roll(seen_to, -3)))
         through = least[_bin(bearing)] > away + _BEHIND
         gone = [cell for cell, is_gone in zip(list(self._seen), through.tolist(), strict=True) if is_gone]

@@ -110,7 +110,7 @@ def _gap(
     """
     _squares(points, time, x, y, squares)
     least, odd, even = np.inf, np.inf, len(squares) // 2 * 2
-    for i in range(0, even, 2):  # two minima side by side, as each waits for its last one
+    for i in range(0, even, 2):  # two independent minima, to hide the latency of each
         least, odd = min(least, squares[i]), min(odd, squares[i + 1])
     for i in range(even, len(squares)):
         least = min(least, squares[i])
@@ -135,12 +135,12 @@ def _cost(
     x = y = theta = 0.0
     way = cost = committed = 0.0
     ends = rules.steps * rules.step
-    corner = math.hypot(rules.half_length, rules.half_width)  # a corner moves where the robot only turns
+    corner = math.hypot(rules.half_length, rules.half_width)  # corners move even in a pure rotation
     for k in range(rules.steps):
         first = k * rules.step < candidate[2] - 1e-9
         v = _toward(v, candidate[0] if first else rules.speed, rules.acceleration * rules.step)
         omega = _toward(omega, candidate[1] if first else candidate[3], rules.turn_acceleration * rules.step)
-        if k == 0:  # the robot decides anew after this step, and brakes from its speed at the latest
+        if k == 0:  # the robot decides again after this step, and can then brake from its speed
             fastest = abs(v) + corner * abs(omega)
             committed = fastest * rules.delay + 0.5 * fastest * fastest / rules.braking
         middle = theta + 0.5 * omega * rules.step

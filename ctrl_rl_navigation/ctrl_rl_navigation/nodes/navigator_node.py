@@ -113,7 +113,7 @@ class NavigatorNode(RobotNode):
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_timer(value["control_period"], self._tick)
         self.create_timer(_STATUS_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: now goals are heard
+        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: goals arrive from now on
 
     def _keep(self, message: Odometry, odometry: Array) -> None:
         """Store the odometry pose."""
@@ -125,9 +125,9 @@ class NavigatorNode(RobotNode):
         track, pose = self._input.track, None
         try:
             there = track.at(nanoseconds(message.header.stamp))
-        except TransformError:  # clocks of scan and odometry differ: as if it were of now
+        except TransformError:  # clocks of scan and odometry differ: treat the scan as current
             there = track.latest() if track.heard > -math.inf else _NOWHERE
-        with suppress(TransformError):  # the pose may be known by the next scan
+        with suppress(TransformError):  # the pose may be known at the next scan
             pose = (Transform.planar(*self._input.pose().tolist()) @ track.latest().inverse() @ there).pose
         odometry = make_odometry(there.pose, np.zeros(3))
         self._driver.see(Sensors(ranges, scan, odometry, pose, None, self._sent, self.robot.now()))

@@ -12,11 +12,10 @@ from ctrl_rl_core import LIDAR_PARAMETERS, Parameter
 
 _ALL_WAY = 6.3
 _CHANGED: dict[str, dict[str, Any]] = {
-    # A map tells what is around, so that a scan with few echoes is no reason to stand: a hall may be wider than the
-    # lidar looks.
+    # With a map, a scan with few echoes is no reason to stop: a hall may be wider than the lidar's range.
     "min_echo_share": {"default": 0.02},
     "largest_gap": {"default": _ALL_WAY},
-    # Values and roll-outs are made for one size of the robot.
+    # Values and roll-outs are computed for a fixed size of the robot.
     "robot_radius": {"live": False, "minimum": 0.01},
     "obstacle_margin": {"live": False},
     "deceleration": {"live": False},

@@ -104,7 +104,7 @@ class MapSolver:
             radius = max(radius, widest)
         seed(front, *self._seeds(front, places, radius))
         self._run(front, int(np.count_nonzero(open_)), report, wanted)
-        # First what is free but tight, then what is solid: so no time passes through a wall from behind.
+        # First free but tight space, then obstacles, so that no time propagates through a wall from behind.
         slow = self.map.resolution / (_BAND_SPEED * self.limits.speed)
         for tight, depth in (((clearance > 0.0) & ~open_, _BAND), (clearance <= 0.0, _BURIED)):
             widen(front, np.pad(np.where(tight, slow, 0.0), BORDER).ravel())
@@ -158,7 +158,7 @@ class MapSolver:
         t = np.linspace(0.0, 1.0, 4 * reach + 1)
         between_rows = np.rint(row + t * (rows[:, None] - row)).astype(int).clip(0, height - 1)
         between_columns = np.rint(column + t * (columns[:, None] - column)).astype(int).clip(0, width - 1)
-        # The goal itself may lie closer to a wall than the robot can come.
+        # The goal itself may be closer to a wall than the robot can get.
         seen = open_[rows, columns] & (clearance[between_rows, between_columns] > 0.0).all(axis=1)
         if not (seen & (distance <= radius)).any():
             here = float(clearance[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)])

@@ -49,7 +49,7 @@ def value_and_slopes(times: Any, row: float, column: float) -> tuple[float, floa
     if weight < 1e-9:
         return np.inf, 0.0, 0.0
     value = total / weight
-    # Slopes of sum(w t) / sum(w): those of the plane where all four cells count.
+    # Slopes of sum(w t) / sum(w), which are those of the plane if all four cells count.
     return value, (by_row - value * row_weight) / weight, (by_column - value * column_weight) / weight
 
 
@@ -88,7 +88,7 @@ def _descend(times: Times, row: float, column: float, out: Array) -> int:
         if steep > 0.0:
             next_row, next_column = row - _STEP * by_row / steep, column - _STEP * by_column / steep
         after, _, _ = value_and_slopes(times, next_row, next_column)
-        if not after < value - 1e-9:  # a kink: on to the lowest cell around
+        if not after < value - 1e-9:  # a kink: continue at the lowest surrounding cell
             next_row, next_column = _lowest_neighbour(times, row, column)
             after, _, _ = value_and_slopes(times, next_row, next_column)
             if not after < value - 1e-9:

@@ -113,7 +113,7 @@ def _window(sit: Any, ask: Any, state: tuple[float, float, float, float, float],
     v, omega = state[3], state[4]
     below, above = (up, down) if v < 0.0 else (down, up)
     low_v, high_v = max(ask.slowest, v - below), min(ask.fastest, v + above)
-    if ask.corrected:  # a speed that was corrected rises slowly, so that it does not fall again at once
+    if ask.corrected:  # a corrected speed rises slowly, so that it does not drop again immediately
         rise = _RISE * up
         low_v, high_v = max(low_v, min(ask.last[0], v, 0.0) - rise), min(high_v, max(ask.last[0], v, 0.0) + rise)
     low_w, high_w = max(-sit.turn_rate, omega - around), min(sit.turn_rate, omega + around)
@@ -167,7 +167,7 @@ def _nearest(
     stands = abs(state[3]) < STANDS
     for place in np.argsort(costs):
         command = (speeds[place // len(turns)], turns[place % len(turns)])
-        # A robot that stands after a correction does not begin to move by the noise of a scan.
+        # Keeps a robot stopped after a correction from moving because of scan noise.
         needed = ask.hysteresis if stands and ask.corrected and command[0] != 0.0 else 0.0
         if hopeless(sit, state, command):
             continue
@@ -283,6 +283,6 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
     v, omega, margin, kind = _braking(sit, ask, state, t)
     if min(margin, first) < 0.0 and _needs_escape(sit, ask, state):
         found, which = certify(_smaller(seen, ask.noise), state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
-        if found >= 0.0:  # else a bound does not hold, and neither does that escape
+        if found >= 0.0:  # otherwise a bound is violated, and the escape is invalid
             omega, margin, kind = ask.escape, min(found - ask.noise, -AWAY), which
     return Answer(v, omega, ESCAPING, min(margin, first), value, kind, state)

@@ -250,7 +250,7 @@ def certify(
         needed: Sufficient margin [m].
     """
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
-    if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # a creep below STANDS would add up
+    if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # creeping below STANDS would add up
         gained = _gains(sit, state, end)
         if gained < AWAY:
             return min(least, gained, 0.0) - AWAY, first

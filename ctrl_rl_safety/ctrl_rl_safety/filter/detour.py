@@ -68,7 +68,7 @@ def detour(sit: Any, ask: Any, state: tuple[float, float, float, float, float], 
     later = t + sit.hold * sit.motion.step + abs(v) / ask.braking + sit.lag
     x, y, theta = state[0], state[1], state[2]
     if margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, later, (-FAR, sit.rooms[1])) < 0.0:
-        return omega  # somebody moves so near that there is nothing to do but wait
+        return omega  # someone moves so close that waiting is the only option
     wish = min(max(_LOOK * omega, -_WIDEST), _WIDEST)
     best, most = 0.0, -FAR
     for k in range(_HEADINGS):

@@ -78,7 +78,7 @@ class SafetyFilter:
         self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, begun)
         self._motion = motion_of(model, STEP)
         self._hold = max(1, math.ceil(value.period / STEP))
-        # A corner of a rectangle dips into a surface up to half the way between two of its places.
+        # A corner of a rectangle may dip into a surface by half the spacing of its points.
         self._side = max(model.range_error if model.length else _SIDE * model.radius, _LEAST_SIDE)
         ladder = brake_ladder(model)
         top = float(ladder.speeds[-1])
@@ -225,7 +225,7 @@ class SafetyFilter:
             if margin >= 0.0:
                 found = found._replace(v=v, omega=omega, mode=Mode.EVADING, margin=margin, kind=kind)
         self._evading = found.mode == Mode.EVADING
-        # An escape by the set takes the longest to try, and comes after one of a constant turn rate.
+        # An escape by the set takes longest, so it is tried after constant turn rates.
         self._corrected, self._kind = found.mode != PASSED, found.kind % FAMILY
         self._unblocking.note(now, (found.v, found.omega), wanted, reading.v)
         command = np.array((found.v, found.omega))

@@ -59,7 +59,7 @@ class Walls:
         for part in surfaces_of(points, known):
             remembered = points[part[there[part]]]
             wall[part] = _extent(points[part]) > self._size or _extent(remembered) > _PART * self._size
-        # What only lies near a remembered place does not renew it: so no mover takes it away step by step.
+        # An echo merely close to a remembered point does not renew it, so a mover cannot shift the wall gradually.
         gone = near_any(self._places, points[wall], 0.5 * SAME)
         self._places = np.concatenate((self._places[~gone], points[wall]))
         self._times = np.concatenate((self._times[~gone], np.full(int(wall.sum()), now)))
@@ -82,7 +82,7 @@ def surfaces_of(points: Array, known: Flags) -> list[NDArray[np.intp]]:
         return []
     gaps = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
     linked = known & np.roll(known, -1) & (gaps < _LINK)
-    order = (np.arange(count) + int(np.argmin(linked)) + 1) % count  # from behind a gap on, where there is one
+    order = (np.arange(count) + int(np.argmin(linked)) + 1) % count  # starts after a gap, if there is one
     linked = linked[order][:-1]
     bent = _bends(points[order], linked, _ARM, _BEND)
     linked &= ~(bent[:-1] | bent[1:])

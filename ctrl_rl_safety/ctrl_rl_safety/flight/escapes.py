@@ -23,13 +23,13 @@ LOST = -1e3
 """Value of a state from which no escape reaches a hover [m]."""
 LONGEST = 3.0
 """Time within which an escape must reach a hover [s]."""
-_SHORTEST = 0.3  # time of an escape [s]: a quadrotor that hovers and is pushed onto a wall has to get away from it
-_CHECKS = 2  # of the room, in a tick
-_SLOW, _LEVEL, _TURNS = 0.15, 0.1, 0.5  # a hover [m/s, rad, rad/s]: what is left of the motion moves it by centimetres
+_SHORTEST = 0.3  # duration of an escape [s], for a hovering quadrotor that is pushed towards a wall
+_CHECKS = 2  # of the clearance, per tick
+_SLOW, _LEVEL, _TURNS = 0.15, 0.1, 0.5  # a hover [m/s, rad, rad/s]: the remaining motion amounts to centimetres
 
 
-_FAR_END = 1e-3  # of the room at the end of an escape [m], up to 1 m, that counts as room on the way
-_TICKS_IN_GOAL = 2  # that a flight has to be inside, so that whoever looks 30 times a second sees it
+_FAR_END = 1e-3  # fraction of the clearance at the end of an escape, up to 1 m, that counts as clearance on the way
+_TICKS_IN_GOAL = 2  # depth inside the goal that a flight must reach, to be detected at 30 Hz
 
 
 class KnownWorld(NamedTuple):

@@ -23,8 +23,8 @@ from ctrl_rl_safety.models.quadrotor_model import QuadrotorModel
 Array = NDArray[np.float64]
 
 _DIRECTIONS = 16
-_PUSHES = (0.15, 0.4, 0.8)  # times for which escapes accelerate [s]
-_LEVELS = 4  # of each thrust that are tried in place of the raw ones
+_PUSHES = (0.15, 0.4, 0.8)  # durations of acceleration in escapes [s]
+_LEVELS = 4  # number of values per thrust to try in place of the raw ones
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class FlightGuard:
         self._levels = np.stack(np.meshgrid(levels, levels, indexing="ij"), axis=-1).reshape(-1, 2)
         angles = 2.0 * math.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         pushes = [(angle, push) for push in _PUSHES for angle in angles]
-        self._plans = np.array([(0.0, 0.0), (0.0, 0.0), *pushes])  # the first is the last answer's
+        self._plans = np.array([(0.0, 0.0), (0.0, 0.0), *pushes])  # the first one is the last answer's
         self.forget()
 
     def forget(self) -> None:
         """Reset the guard, e.g. for another flight."""
         self._plans[0] = 0.0
-        self._way_out = np.zeros((0, 2))  # thrusts of the escape that the last answer left
+        self._way_out = np.zeros((0, 2))  # thrusts of the escape left by the last answer
         self._changed = False
 
     def warm_up(self) -> None:

@@ -16,10 +16,10 @@ from ctrl_rl_safety.models.quadrotor_model import QuadrotorModel
 Array = NDArray[np.float64]
 State = tuple[float, float, float, float, float, float]
 
-_BELOW_LIMIT = 0.2  # of the tilt that an escape asks for [rad]: the pitch overshoots a little
-_OF_ALL = 0.85  # of the possible acceleration that an escape asks for; the rest turns the body
-_BRAKING_S = 0.25  # time constant of the speed when it brakes, about the time that the body needs to tilt
-_SIDEWAYS = 0.2  # of the least thrust: less than this sideways does not change the side to which it tilts
+_BELOW_LIMIT = 0.2  # margin of the tilt limit in an escape [rad], because the pitch overshoots slightly
+_OF_ALL = 0.85  # fraction of the possible acceleration used in an escape; the rest rotates the body
+_BRAKING_S = 0.25  # time constant of the speed when braking, about the time needed to tilt
+_SIDEWAYS = 0.2  # fraction of the minimum thrust below which a sideways force does not change the side of the tilt
 
 
 class Craft(NamedTuple):
@@ -94,7 +94,7 @@ def room_at(craft: Any, shapes: Array, x: float, z: float, psi: float) -> float:
             gap = math.hypot(max(along, 0.0), max(across, 0.0)) + min(max(along, across), 0.0) - shapes[k, 6]
         else:
             bc, bs, ha, hb = shapes[k, 2], shapes[k, 3], shapes[k, 4], shapes[k, 5]
-            same, crossed = abs(c * bc - s * bs), abs(s * bc + c * bs)  # of the angle between their sides
+            same, crossed = abs(c * bc - s * bs), abs(s * bc + c * bs)  # of the angle between the sides
             gap = max(
                 max(along - ha * same - hb * crossed, across - ha * crossed - hb * same),
                 max(
@@ -156,10 +156,10 @@ def escape_thrusts(craft: Any, state: State, angle: float, push_for: float) -> A
     least, most = 2.0 * craft.least, 2.0 * craft.most
     f_z = min(f_z, most)
     aside = math.sqrt(most * most - f_z * f_z) if f_z > -most else 0.0
-    f_x = min(max(f_x, -aside), aside)  # lift comes first
+    f_x = min(max(f_x, -aside), aside)  # lift takes precedence
     if math.hypot(f_x, f_z) >= least and f_z > 0.0:
         wanted = math.atan2(f_x, f_z)
-    else:  # the least thrust lifts too much unless it is tilted, to either side
+    else:  # the minimum thrust lifts too much unless tilted to either side
         side = psi if abs(f_x) < _SIDEWAYS * least else f_x
         tilt = math.acos(min(max(f_z / least, 0.0), 1.0)) if least > 0.0 else 0.5 * math.pi
         wanted = math.copysign(tilt, side) if least > 0.0 or f_x != 0.0 else 0.0

@@ -60,7 +60,7 @@ def read_drives(bag: Path, command_topic: str = "", odometry_topic: str = "", te
         commands = _topic(opened.info.topics, command_topic, "cmd_vel", bag)
         odometry = _topic(opened.info.topics, odometry_topic, "odom", bag)
     try:
-        # The log times of both: a delay is from the sending of a command to the odometry that shows its effect.
+        # Log times of both: a delay lasts from sending a command to the odometry that shows its effect.
         found = align(
             bag, [commands, odometry], 1.0 / STEP, methods={odometry: "linear"}, clock="log", max_age=LATEST, tell=tell
         )

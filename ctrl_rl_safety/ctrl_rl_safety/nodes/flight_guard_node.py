@@ -82,7 +82,7 @@ class FlightGuardNode(SuiteNode):
         self._guard.warm_up()
         self._simulated = simulated = bool(self.get_parameter("use_sim_time").value)
         self._ages = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        # The clock of a fast simulation may arrive later than the odometry of that time.
+        # The clock of a fast simulation may arrive after odometry of the same time.
         self._ahead = max(AHEAD, value["odometry_timeout"]) if simulated else AHEAD
         self._read = OdometryReader(("x", "v_x", "z", "v_z", "psi", "omega"))
         self._state, self._stamp, self._heard_at, self._gap, self._frame = _NONE, 0, -math.inf, 0.0, ""
@@ -172,7 +172,7 @@ class FlightGuardNode(SuiteNode):
         else:
             verdict = self._guard.decide(state, _NONE if problem else self._raw)
         if verdict is None:
-            return  # what was sent last is certified until the period is over
+            return  # the last thrusts sent are certified until the period ends
         self._answered = self._stamp
         self._decisions.append(time.perf_counter() - begin)
         mode = FlightStatus.PASSED
@@ -204,7 +204,7 @@ class FlightGuardNode(SuiteNode):
 
     def _send(self, thrusts: Array, now: float) -> None:
         stamp = self.get_clock().now().to_msg()
-        if self._raw_stamp > 0 and math.isfinite(self._raw_at):  # latencies can be told from a bag
+        if self._raw_stamp > 0 and math.isfinite(self._raw_at):  # allows computing latencies from a bag
             stamp = to_stamp(max(self._raw_stamp + round(1e9 * (now - self._raw_at)), 0))
         self._output.send(thrusts, stamp)
         self._sent, self._sent_at = thrusts, now

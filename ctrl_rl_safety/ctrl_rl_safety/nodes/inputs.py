@@ -101,7 +101,7 @@ class OdometryInput:
         pose, passed = self._track.latest().pose, 1e-9 * (stamp - self._stamp)
         way = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
         jumped = passed < 0.0 or way > self._fastest * passed + _FARTHEST_JUMP
-        if jumped:  # no pose lies between those before and after
+        if jumped:  # no pose between those before and after
             self._track = OdometryTrack()
             self._track.update(message, now)
         twist = message.twist.twist

@@ -79,7 +79,7 @@ class SafetyFilterNode(RobotNode):
         robot.on_scan, robot.on_odometry, robot.on_halt = self._see, self._keep, self._on_halt
         robot.limit, robot.stopping = self._limit, lambda: self._filter.stopping(robot.now())
         robot.fault = lambda: next((each for each in self._faults_of.values() if each), "")
-        # The clock of a fast simulation may arrive later than the scan that was taken then.
+        # The clock of a fast simulation may arrive after a scan of the same time.
         self._ahead = robot.timeout if self.get_parameter("use_sim_time").value else AHEAD
         self._odometry = OdometryInput(max(model.speed, model.reverse_speed), robot.timeout, self._ahead)
         self._map = MapInput(self, robot.timeout, robot.now) if value["use_map"] else None
@@ -182,7 +182,7 @@ class SafetyFilterNode(RobotNode):
             self._raw_stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         if abs(now - self._answered_at) >= _QUICKEST * self.settings["control_period"]:
             self._answered_at = now
-            self._timer.reset()  # the next tick comes a period after this answer
+            self._timer.reset()  # the next tick is one period after this answer
             self._tick(now)
 
     def _silence(self) -> str:

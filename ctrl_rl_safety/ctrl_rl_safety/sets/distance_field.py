@@ -79,7 +79,7 @@ def obstacles_around(
     return Obstacles(stays, stands, moves, to_stays, to_stands, to_moves, x, y, cell)
 
 
-@njit(fastmath=True)  # echoes are finite, and the order in which a minimum is taken does not matter
+@njit(fastmath=True)  # echoes are finite, and the order of evaluating a minimum is irrelevant
 def _nearest(points: Any, x: float, y: float) -> float:
     least = FAR * FAR
     for i in range(points.shape[1]):

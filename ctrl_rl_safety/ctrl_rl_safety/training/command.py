@@ -42,7 +42,7 @@ class Train(ExperimentOptions):
 
 
 def _train(options: Train) -> int:
-    # Torch takes seconds to import: not before the arguments are right.
+    # Importing torch takes seconds, so arguments are validated first.
     from ctrl_rl_learning.study import run_experiments
 
     from ctrl_rl_safety.training.runs import WAYS, AttackRun, ShieldRun

@@ -161,7 +161,7 @@ def _work(options: Options) -> int:
     outcomes: dict[Cell, list[TrialOutcome]] = {}
     suffix = ("" if options.engine == "planar" else f", {options.engine}") + _changes(options)
     with tqdm(total=len(cells) * options.episodes, unit="episode", disable=None) as bar:
-        for cell in sorted(cells, key=lambda each: each.guard not in UNGUARDED):  # the time lost is counted from these
+        for cell in sorted(cells, key=lambda each: each.guard not in UNGUARDED):  # reference of the time lost
             outcomes[cell] = _finished(cell, options, bar)
             others = [outcomes.get(replace(cell, guard=each), []) for each in UNGUARDED if cell.guard not in UNGUARDED]
             rows = rows_of(cell.method + suffix, outcomes[cell], *others)

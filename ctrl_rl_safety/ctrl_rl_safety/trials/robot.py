@@ -129,7 +129,7 @@ class TrialRobot:
         for _ in range(max(1, round(seconds / self._tick))):
             command = raw
             if self._filter is not None:
-                turned = self.world.steps % self._turn < self._steps  # the first tick after a turn is complete
+                turned = self.world.steps % self._turn < self._steps  # the first tick after a complete scan
                 command = self._filter(self._seen(self._last, self._filter.looks and turned, self.world.pose()), raw)
                 self.changed += self._filter.changed
             self.ticks += 1

@@ -41,7 +41,7 @@ def room(place: str, body: str, model: RobotModel, seed: int) -> NavigationTask:
     boxes: list[dict[str, Any]] = []
     while len(boxes) < _BOXES[place]:
         x, y = random.uniform(-half[0], half[0]), random.uniform(-half[1], half[1])
-        if np.hypot(x, y) < free:  # the robot starts near the middle
+        if np.hypot(x, y) < free:  # the robot starts near the centre
             continue
         sides = random.uniform(0.15, 0.6, 2)
         size = f"({sides[0]:.3f}, {sides[1]:.3f}) m"

@@ -78,7 +78,7 @@ def _compare(options: Compare) -> int:
         if task not in comparison.tasks:
             raise KoopmanError(f"--tasks {task}: {name} is of {', '.join(comparison.tasks)}")
         for method in methods:
-            find_task(task).with_settings(**dict((*METHODS[method].changes, *changes)))  # refuses before torch is here
+            find_task(task).with_settings(**dict((*METHODS[method].changes, *changes)))  # fail before importing torch
     for task in tasks:
         _compare_on(task, name, methods, changes, options)
     return 0
@@ -104,7 +104,7 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
         words += ["--set", *(f"{key}={value}" for key, value in settings)] if settings else []
         words += ["--consolidation", str(consolidation)] if consolidation != CONSOLIDATION else []
         runs[method] = options.learning_runs(task, settings, words, consolidation, each.learner)
-    # Where `--set` makes two methods the same, they are one run.
+    # If `--set` makes two methods identical, they share one run.
     named = {each[seed].name: each[seed] for seed in range(options.seeds) for each in runs.values()}
     everything = list(named.values())
     found = run_experiments(everything, options.run_options(problem), options.workers, task, options.ray)
@@ -119,7 +119,7 @@ def _compare_on(task: str, name: str, methods: Sequence[str], changes: Changes, 
 
 
 def _draw(options: Plot) -> int:
-    from koopman_lqr_controller.training.experiments.plots import draw  # matplotlib is not for robots
+    from koopman_lqr_controller.training.experiments.plots import draw  # matplotlib is not installed on robots
 
     for file in options.results:
         picture = options.output / f"{file.stem}.svg"

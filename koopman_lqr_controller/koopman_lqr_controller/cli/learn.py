@@ -84,14 +84,14 @@ class Consolidate:
 def _learn(options: Train) -> int:
     problem = find_task(options.task)
     changes = tuple(sorted({**RECIPES[options.recipe], **dict(options.changes())}.items()))
-    problem = problem.with_settings(**dict(changes))  # refuses what is wrong before torch, which takes seconds, is here
+    problem = problem.with_settings(**dict(changes))  # validate before importing torch, which takes seconds
     from ctrl_rl_learning.study import result_file, run_experiments
 
     from koopman_lqr_controller.training.experiments.last_curves import collect_curves, read_curves
     from koopman_lqr_controller.training.experiments.results import collect, collect_last
 
     if options.results is not None and options.keep == "last":
-        read_curves(options.results)  # refuses a file that nothing can be added to before hours are spent
+        read_curves(options.results)  # rejects a file that cannot be extended, before hours are spent
     settings = ["--set", *options.set_words] if options.set else []
     words = [*settings, *given_words(options, _LEARN_WORDS)]
     runs = options.learning_runs(
@@ -131,7 +131,7 @@ def _consolidate(options: Consolidate) -> int:
         raise KoopmanError(f"--noise must be positive, not {options.noise}")
     refuse_existing(options.output, options.overwrite)
     problem = task_of_manifest(load_latent(options.policy).manifest)
-    torch.set_num_threads(1)  # more only get into each other's way
+    torch.set_num_threads(1)  # more threads slow each other down
     environment = problem.make(False)
     sizes = {"sizes": tuple(sorted(set(options.latent)))} if options.latent else {}
     plan = ConsolidationConfig.of(options.live, options.episodes, noise=options.noise, **sizes)

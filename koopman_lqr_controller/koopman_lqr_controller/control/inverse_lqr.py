@@ -109,7 +109,7 @@ def fit_costs(
     if (Q <= 0.0).any() or (R <= 0.0).any():
         raise KoopmanError("the costs to begin with must be positive: their logarithms are searched")
     begin = np.clip(np.log(np.concatenate((Q, R))), -_LOG_RANGE, _LOG_RANGE)
-    mismatch_and_gradient(begin, model, law)  # refuses a model that cannot be regulated at all
+    mismatch_and_gradient(begin, model, law)  # raises if the model has no regulator
 
     def loss(logs: Array) -> tuple[float, Array]:
         try:

@@ -18,7 +18,7 @@ from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.edmd import LinearModel
 from koopman_lqr_controller.models.encoder import EPSILON, Dense, Encoder, LayerNorm, Rectifier, Weights
 
-_ZERO = np.array(0.0, np.float32)  # NumPy takes a Python number in twice the time
+_ZERO = np.array(0.0, np.float32)  # NumPy takes twice as long with a Python number
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class LqrProblem:
         K = self.gain(P)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", LinAlgWarning)  # the residual decides
+                warnings.simplefilter("ignore", LinAlgWarning)  # the residual is checked below
                 better = solve_discrete_lyapunov((self.A - self.B @ K).T, self.Q + K.T @ self.R @ K)
         except (LinAlgError, ValueError):
             return P
@@ -90,7 +90,7 @@ class Units:
         independent of the given units.
         """
         n, m = problem.B.shape
-        links = np.zeros((n + m + 1, n + m + 1))  # from a column to a row; the last node is the cost
+        links = np.zeros((n + m + 1, n + m + 1))  # edges from columns to rows; the last node is the cost
         links[:n, :-1] = np.abs(np.hstack((problem.A, problem.B)))
         links[-1, :-1] = np.sqrt(np.maximum(np.concatenate((np.diag(problem.Q), np.diag(problem.R))), 0.0))
         np.fill_diagonal(links, 0.0)

@@ -37,7 +37,7 @@ def observed(K: Array, A: Array, size: int) -> Array:
     while rows and len(found) < size:
         row = rows.pop(0)
         length = np.linalg.norm(row)
-        for _ in range(2):  # once more takes away what rounding left
+        for _ in range(2):  # a second pass removes the effect of rounding
             row = row - found.T @ (found @ row)
         left = np.linalg.norm(row)
         if left > _NEW * length:
@@ -122,9 +122,9 @@ class RegulatorFitter:
     ) -> None:
         self.learnt, self._episodes, self._mirrored = learnt, episodes, mirrored
         self._psi = np.concatenate([episode.features[:-1] for episode in (*episodes, *mirrored)])
-        # What the law asks for is linear; the action, bent by tanh, is not. Cut off instead, it differs by up to 0.24.
+        # The law's output is linear, but the action after tanh is not. Clipped instead, it differs by up to 0.24.
         self._u = learnt.control(self._psi)
-        # What a difference of u makes of the action: where all of it is lost, the law need not be the same.
+        # Effect of a difference in u on the action: where it vanishes, the law need not match.
         self._weight = np.mean(1.0 - np.tanh(self._u) ** 2, axis=1) + _LEAST_WEIGHT
         self._psi_ref, self._a_ref = self._reference(goal)
         self.directions = principal(self._psi - self._psi_ref, _SEEN)

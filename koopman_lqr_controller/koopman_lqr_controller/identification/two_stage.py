@@ -84,7 +84,7 @@ def train(
     z_ref[-1] = speed
     u_ref = np.array([speed, 0.0])
     check_controls_move(seen.u, _COMMANDS)
-    # What was driven left could have been driven right: the mirrored drive is as true, and makes the model symmetric.
+    # The mirrored drive is equally valid, and makes the model symmetric.
     data = seen.centred(z_ref, u_ref)
     mirrored = data.mirrored(observables.mirror, np.array([1.0, -1.0]))
     if shrunk:

@@ -45,7 +45,7 @@ class Dense:
 
     def __call__(self, x: Weights) -> Weights:
         """Return the outputs (..., out) for inputs (..., in)."""
-        y = x.dot(self.weight.T)  # of one vector it takes a third less time than @
+        y = x.dot(self.weight.T)  # a third faster than @ for a single vector
         y += self.bias
         return np.maximum(y, 0.0, out=y) if self.rectified else y
 
@@ -128,7 +128,7 @@ class LayerNorm:
     def __call__(self, x: Weights) -> Weights:
         """Return the outputs (..., n)."""
         n = np.float32(x.shape[-1])
-        total: Weights = np.add.reduce(x, axis=-1, keepdims=True)  # what `mean` does, in half its time
+        total: Weights = np.add.reduce(x, axis=-1, keepdims=True)  # same as `mean`, in half the time
         y = x - total / n
         variance = np.einsum("...i,...i->...", y, y)[..., None] / n
         y /= np.sqrt(variance + EPSILON)

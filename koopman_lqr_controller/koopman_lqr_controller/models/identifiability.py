@@ -168,7 +168,7 @@ def check_controls_told(data: RegressionData, lifted: bool) -> None:
         )
     left = _without(controls, span)
     P, own, directions = np.linalg.svd(left, full_matrices=False)
-    # A control is known to so many digits of itself, offset included, and not of its spread.
+    # A control's precision is relative to its size, including the offset, not to its spread.
     floor = max(_ON_ITS_OWN * u.rounding / data.eps, _ROUNDED * max(z.rounding, u.rounding))
     if own[-1] < floor:
         raise KoopmanError(
@@ -198,7 +198,7 @@ def _check_beside_noise(index: int, z: Array, u: Array, z_next: Array, noise: Ar
     own = _without(u[:, index], _orthonormal(others))
     size = float(np.linalg.norm(own))
     effect = np.abs(own @ z_next) / (size * np.maximum(noise, np.finfo(float).tiny))
-    # Noise of measured states looks like a dither of a control that follows them: K times what the model misses.
+    # Noise of measured states looks like a dither of a control that follows them: K times the model's residual.
     feedback = np.linalg.lstsq(others, u[:, index], rcond=1e-10)[0][: len(noise)]
     alike = float(np.linalg.norm(feedback * noise))
     weak = size < _WEAK

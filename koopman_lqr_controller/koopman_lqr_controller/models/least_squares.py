@@ -68,7 +68,7 @@ class LeastSquares:
     def __init__(self, X: Array) -> None:
         self.size = sizes(X)
         self._moving = np.abs(X).max(axis=0, initial=0.0) > 0.0
-        # Of many rows only what they span counts: the rest is done on a triangle of as many rows as columns.
+        # Only the span of many rows matters: use a triangle with as many rows as columns.
         self._Q, self._R = np.linalg.qr(X / self.size)
         self._decompose(self._R, len(X))
 

@@ -63,7 +63,7 @@ def fit_with_shrinkage(
         raise KoopmanError(f"{len(given.z)} steps are too few to choose a model by: record a longer drive")
     if not (given.z_next - given.z).any():
         raise KoopmanError("nothing changes in this drive: record one in which the robot moves")
-    check_controls_move(given.u)  # a twin would make a control that stands still seem to move
+    check_controls_move(given.u)  # a twin would make a constant control appear to move
     parts = [[rows] for rows in np.array_split(np.arange(len(data)), _FOLDS)]
     if twin is not None:
         RegressionData.of(twin.z, twin.u, twin.z_next).check_like(given)
@@ -83,7 +83,7 @@ def fit_with_shrinkage(
     W = _solutions(X, Y, RIDGES[chosen : chosen + 1])[0].T / unit
     A = np.eye(n) + W[:, :n]
     if not drift:
-        # What stays at the fixed point for ever says nothing; A = I would make a mode of it that nobody can damp.
+        # What stays at the fixed point is uninformative; A = I would create an uncontrollable mode there.
         still = ~(X[:, :n].any(axis=0) | Y.any(axis=0))
         A[still, still] = 0.0
     model = LinearModel(A, np.ascontiguousarray(W[:, n:]))

@@ -91,7 +91,7 @@ class LatentDriver(NodeDriver):
         dry, nan, details = self._settings["dry_run"], math.nan, self._details
         out = LatentState(header=header, prediction_error=nan, cost_to_go=nan, distance=nan, stop=problem, dry_run=dry)
         out.command = _doubles(command)
-        self._next = self._details = None  # without a decision there is nothing to predict from
+        self._next = self._details = None  # without a decision there is no basis for a prediction
         if details is None:
             out.z, out.control = _doubles(np.full_like(self._policy.z_ref, nan)), _doubles(np.full(2, nan))
         else:
@@ -100,7 +100,7 @@ class LatentDriver(NodeDriver):
             out.cost_to_go, out.distance = self._policy.cost_to_go(z), details.distance
             if details.predicted is not None:
                 out.z_predicted, out.prediction_error = _doubles(details.predicted), details.error
-            # In a dry run somebody else drives, or nobody: what the robot does is what it does by odometry.
+            # In a dry run, someone else drives, or no one: the executed motion is that of odometry.
             self._next = self._policy.predict(z, np.array(details.measured) if dry else command)
             self._next_since = seconds(header.stamp)
         self._latent.publish(out)
@@ -132,9 +132,9 @@ class LatentDriver(NodeDriver):
         """
         path = find_policy(name)
         policy = load_policy(path)
-        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # one of another robot ends here
+        policy.decide(np.ones(_SOME_SCAN.beams, np.float32), _SOME_SCAN, 0.0, 0.0)  # raises for another robot's policy
         served: dict[str, object] = {"policy": path.name, "policy digest": digest(path)}
-        # Only what is right in every respect takes the place of what drives.
+        # Replace the active policy only by a fully valid one.
         self._guard, self._served, self._next = Guard(policy.distribution, 0.0, 0.0, 0.0), served, None
         self._set_guard()
         self._late, self._out_of_step = 0, ""

@@ -117,7 +117,7 @@ class EdmdPolicy:
             model=self.model,
             K=self.K,
             P=self.P,
-            Q=np.maximum(np.diag(Q), 0.0),  # an entry of 0 comes back as rounding
+            Q=np.maximum(np.diag(Q), 0.0),  # an entry of 0 is recovered with rounding
             R=np.diag(R).copy(),
             z_ref=z_ref,
             slope=np.ones(len(u_ref)),

@@ -150,7 +150,7 @@ class LatentPolicy:
         if controller.horizon is not None:
             u = controller.control(z)
             return Decision(robot_interface.command(controller.saturate(u)), robot_interface.command(u), z)
-        # Actions are cut off where commands are: the quickest is to think in commands.
+        # Actions are clipped where commands are, so working with commands is fastest.
         control = self._offset - self._gain.dot(z)
         return Decision(np.minimum(np.maximum(control, robot_interface.u_low), robot_interface.u_high), control, z)
 

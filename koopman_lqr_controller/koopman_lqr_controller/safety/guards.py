@@ -161,7 +161,7 @@ class Alarm:
             if not wrong:
                 self._since = math.nan
             else:
-                if not self._since <= now:  # the first time, or the clock was set back
+                if not self._since <= now:  # the first value, or the clock was set back
                     self._since = now
                 if now - self._since >= self.patience:
                     self.raised, self._since = not self.raised, math.nan

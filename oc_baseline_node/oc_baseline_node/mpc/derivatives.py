@@ -60,7 +60,7 @@ class Derivatives:
         self.cost = Compiled(program.solver.get_function("nlp_f"), 0)
         self.gradient = Compiled(program.solver.get_function("nlp_grad_f"), 0)
         self.jacobian = Compiled(program.solver.get_function("nlp_jac_g"), 0, 1)
-        hessian = program.solver.get_function("nlp_hess_l")  # fatrop's has the gradient before it
+        hessian = program.solver.get_function("nlp_hess_l")  # fatrop's output has the gradient first
         self.hessian = Compiled(hessian, hessian.n_out() - 1)
 
     def trouble(self, variables: Array, start: Array) -> str:

@@ -192,7 +192,7 @@ def equilibrium_control(system: System) -> Array:
     with np.errstate(all="ignore"):
         drift = system.dynamics(np.zeros(n), np.zeros(m))
         effect = system.dynamics(np.zeros(n), np.eye(m)) - drift  # models are affine in u: row i is the effect of u_i
-    if not (np.isfinite(drift).all() and np.isfinite(effect).all()):  # a model without a value at the origin
+    if not (np.isfinite(drift).all() and np.isfinite(effect).all()):  # a model undefined at the origin
         return np.clip(np.zeros(m), *system.control_bounds)
     u = np.linalg.lstsq(effect.T, -drift, rcond=None)[0]
     return np.clip(u, *system.control_bounds)

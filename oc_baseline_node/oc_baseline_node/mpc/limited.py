@@ -67,7 +67,7 @@ class LimitedSolver:
             limit: Maximum CPU time [s].
         """
         global _seconds_elsewhere
-        if self._connection is None or self._owner != os.getpid():  # a fork of this process has its own
+        if self._connection is None or self._owner != os.getpid():  # a forked process needs its own
             self._begin()
         assert self._connection is not None
         answer: Answer | None = None
@@ -75,9 +75,9 @@ class LimitedSolver:
             self._connection.send((arguments, limit))
             if self._connection.poll(_WAIT * limit):
                 answer = self._connection.recv()
-        except (EOFError, OSError):  # the kernel has ended it
+        except (EOFError, OSError):  # terminated by the kernel
             pass
-        except BaseException:  # interrupted: its answer must not be taken for that of the next call
+        except BaseException:  # interrupted: its answer must not be mistaken for that of the next call
             self._close()
             raise
         if answer is None:
@@ -88,7 +88,7 @@ class LimitedSolver:
     def _begin(self) -> None:
         self._close()
         ours, theirs = Pipe()
-        with warnings.catch_warnings():  # the child runs nothing but the solver: other threads' locks are not its own
+        with warnings.catch_warnings():  # the child only runs the solver, so locks of other threads do not matter
             warnings.simplefilter("ignore", DeprecationWarning)
             process = os.fork()
         if process == 0:
@@ -119,14 +119,14 @@ def _end(process: int, connection: Connection, owner: int) -> None:
 def _serve(solver: Any, connection: Connection) -> NoReturn:
     """Answer calls until the other end of the pipe closes."""
     try:
-        # Nothing else of the parent's is held open: a lock on a file would last as long as this process.
+        # Nothing else of the parent is kept open, because a lock on a file would last as long as this process.
         mine, most = connection.fileno(), os.sysconf("SC_OPEN_MAX")
         os.closerange(3, mine)
         os.closerange(mine + 1, most)
         nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in (1, 2):  # a NaN is answered with pages of numbers
+        for stream in (1, 2):  # solvers print pages of numbers for a NaN
             os.dup2(nowhere, stream)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent, which ends this process
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
         while True:
@@ -135,7 +135,7 @@ def _serve(solver: Any, connection: Connection) -> NoReturn:
             answer = _ask(solver, arguments)
             signal.setitimer(signal.ITIMER_PROF, 0.0)
             connection.send(answer)
-    except BaseException:  # what is behind a fork must not run: neither handlers at exit nor the parent's code
+    except BaseException:  # after a fork, neither exit handlers nor the parent's code may run
         pass
     finally:
         os._exit(0)
@@ -147,11 +147,11 @@ def _ask(solver: Any, arguments: dict[str, Array]) -> Answer:
         found = solver(**arguments)
         variables, multipliers = (np.asarray(found[name], dtype=float).ravel() for name in ("x", "lam_g"))
         failed = ""
-    except RuntimeError:  # CasADi's only error
+    except RuntimeError:  # CasADi's only error type
         variables, multipliers, failed = np.full(len(arguments["x0"]), np.nan), np.empty(0), "Error_In_Solver"
     stats = solver.stats()
     status = failed or str(stats["return_status"])
-    if not failed and status.lstrip("-").isdigit():  # fatrop has numbers only, so CasADi's general word is taken
+    if not failed and status.lstrip("-").isdigit():  # fatrop only has numbers, so CasADi's general status is used
         status = str(stats.get("unified_return_status", status)).removeprefix("SOLVER_RET_")
     iterations = int(stats.get("iter_count", 0))
     success = bool(stats.get("success", False)) and not failed

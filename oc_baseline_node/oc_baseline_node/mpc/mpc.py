@@ -144,9 +144,9 @@ class Mpc:
             if mine[-1].solved:
                 break
         else:
-            if len(guesses) > 1:  # the straight line runs through an obstacle
+            if len(guesses) > 1:  # the straight line passes through an obstacle
                 mine += self._solve_by_continuation(start, guesses[0], bounds, terminal, tries)
-        # The last of the steps that was solved; without any the reason is that of the problem itself.
+        # The last step solved; if none was, the reason is that of the problem itself.
         return next((each for each in reversed(mine) if each.solved), mine[-1])
 
     def _solve_by_continuation(

@@ -60,7 +60,7 @@ def covering_superellipses(shape: Shape, clearance: float, exponent: int = EXPON
     long = 0 if shape.size[0] >= shape.size[1] else 1
     if whole.semi_axes[long] - 0.5 * shape.size[long] - clearance <= _OVERSHOOT:
         return (whole,)
-    # The middle's overshoot ends within the end pieces.
+    # The middle piece's overshoot ends within the end pieces.
     end = max(shape.size[1 - long], whole.semi_axes[long] - 0.5 * shape.size[long] - clearance)
     if shape.size[long] <= 2.0 * end:
         return tuple(
@@ -93,6 +93,6 @@ def covering_superellipse(shape: Shape, clearance: float, exponent: int = EXPONE
     corner = np.linspace(0.0, 0.5 * pi, 91)
     rounded = half + clearance * np.column_stack((np.cos(corner), np.sin(corner)))
     scale = float(np.max(np.sum((rounded / (half + clearance)) ** exponent, axis=1) ** (1.0 / exponent)))
-    # Between two of the corner's points the norm is at most this much larger.
+    # Between two points of the corner, the norm is larger by at most this factor.
     semi_axes = max(scale, 1.0) * (1.0 + 1e-4) * (half + clearance)
     return Superellipse(shape.centre, (float(semi_axes[0]), float(semi_axes[1])), exponent, shape.angle)

@@ -60,7 +60,7 @@ class StageSqp:
         self._dynamics = program.kinds == "dynamics"
         self._unequal = ~self._start & ~self._dynamics
         stages = program.stages[self._unequal]
-        # Where each inequality stands among those of its stage: constraints are ordered by stages.
+        # Position of each inequality within its stage: constraints are ordered by stage.
         self._place = np.arange(len(stages)) - np.searchsorted(stages, stages)
         self._rows = int(self._place.max(initial=-1)) + 1
         self._sign = np.where(program.kinds[self._unequal] == "disc", -1.0, 1.0)
@@ -122,7 +122,7 @@ class StageSqp:
             count, *found = solve_stages(H, *rest, damping, gap, *beginning)
             if count > 0:
                 return found[0], found[1], found[2]
-            if count == 0 and beginning == _BEGINNINGS[-1]:  # no damping makes a program feasible
+            if count == 0 and beginning == _BEGINNINGS[-1]:  # damping cannot make a program feasible
                 return None
         return None
 
@@ -169,7 +169,7 @@ class StageSqp:
     def _index_hessian(self) -> None:
         row, column = self._derivatives.hessian.rows, self._derivatives.hessian.columns
         entries = np.arange(len(row))
-        lone = row != column if (row <= column).all() else np.zeros(len(row), dtype=bool)  # ipopt keeps the upper half
+        lone = row != column if (row <= column).all() else np.zeros(len(row), dtype=bool)  # ipopt: upper triangle
         row, column = np.concatenate((row, column[lone])), np.concatenate((column, row[lone]))
         entries = np.concatenate((entries, entries[lone]))
         w = self._w

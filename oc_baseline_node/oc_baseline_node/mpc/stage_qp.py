@@ -63,7 +63,7 @@ def solve_stages(
     K, n, w = A.shape
     r = G.shape[1]
     z = np.zeros((K + 1, w))
-    # Bounds below, bounds above, rows.
+    # Lower bounds, upper bounds, rows.
     count = 2 * w + r
     slack, weight = np.ones((K + 1, count)), np.zeros((K + 1, count))
     used = np.zeros((K + 1, count), dtype=np.bool_)
@@ -235,7 +235,7 @@ def _riccati(
                     v[i] += A[k, other, i] * t[other]
                     for j in range(w):
                         M[i, j] += A[k, other, i] * T[other, j]
-        # Eliminate the controls, last first, by Gaussian elimination: their pivots say whether there is a minimum.
+        # Eliminate the controls, last first, by Gaussian elimination; the pivots show whether there is a minimum.
         for e in range(w - 1, n - 1, -1):
             pivot = M[e, e]
             if not pivot > _LEAST_PIVOT:
@@ -249,7 +249,7 @@ def _riccati(
             p[k, i] = v[i]
             for j in range(n):
                 P[k, i, j] = 0.5 * (M[i, j] + M[j, i])
-        # What is left in row e expresses its control by the states and the controls before it.
+        # The remainder of row e expresses its control by the states and the preceding controls.
         for e in range(m):
             row = n + e
             f[k, e] = -v[row] / M[row, row]

@@ -141,7 +141,7 @@ def model_rates(problem: OptimalControlProblem) -> tuple[Any, tuple[str, ...]]:
                                                                 ("u", problem.system.controls)))  # fmt: skip
     try:
         own = casadi.Function("rates", [x, u], [problem.system.dynamics(x, u, math=casadi)])
-    except (AttributeError, TypeError, NotImplementedError) as error:  # of the user's equations
+    except (AttributeError, TypeError, NotImplementedError) as error:  # raised by the user's equations
         said = one_line(str(error).partition("\n")[0])
         raise OcError(f"model '{problem.system.name}': CasADi cannot differentiate it: {said}") from None
     function, names = rounded(own)

@@ -64,7 +64,7 @@ def _train(options: Train) -> int:
 
 
 def _figures(options: TaskPlotOptions) -> int:
-    from oc_baseline_node.training.plots import Learning, draw_all  # matplotlib is not for robots
+    from oc_baseline_node.training.plots import Learning, draw_all  # matplotlib is not installed on robots
 
     figures, task = read_training(options, Learning)
     for picture in draw_all(figures, task, options.output):

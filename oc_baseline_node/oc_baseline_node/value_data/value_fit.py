@@ -76,7 +76,7 @@ def fit(
     discount = problem.discount if settings.discount is None else settings.discount
     random = np.random.default_rng(settings.seed)
     states, values, met = data.samples(problem, discount, settings.whole_horizon)
-    met[:, -1] &= not settings.whole_horizon  # the last state then only ends the sum
+    met[:, -1] &= not settings.whole_horizon  # the last state then only terminates the sum
     count = len(states)
     order, size = random.permutation(count), round(settings.held_out * count)
     if not 0 < size < count:
@@ -118,7 +118,7 @@ def _fit_once(
     inputs = features(axes, x)
     middle, spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-6)
     (weight, bias), *rest = _train((inputs - middle) / spread, (y - offset) / scale, settings, progress)
-    # The standardisation of the inputs becomes part of the first layer.
+    # The standardisation of the inputs is merged into the first layer.
     layers = ((weight / spread, bias - (weight / spread) @ middle), *rest)
     return MlpValue(layers, axes, offset, scale, problem.task.name, problem.digest, CollisionSet.of(problem.task))
 
@@ -146,7 +146,7 @@ def domain(problem: OptimalControlProblem, reached: Array) -> tuple[Axis, ...]:
 
 def _train(x: Array, y: Array, settings: FitSettings, progress: bool) -> tuple[tuple[Array, Array], ...]:
     """Train layers to map x (N, F) to y (N,), both standardised; return weights and biases."""
-    torch.set_num_threads(1)  # more threads only slow small layers down
+    torch.set_num_threads(1)  # more threads slow down small layers
     generator = torch.Generator().manual_seed(settings.seed)
     linears = [nn.Linear(a, b) for a, b in zip((x.shape[1], *settings.hidden), (*settings.hidden, 1), strict=True)]
     with torch.no_grad():

@@ -49,7 +49,7 @@ class ChunkSolver:
         self._settings = settings
         self._mpc = Mpc(problem)
         look_ahead = max(1, round(_LOOK_AHEAD_S / problem.time_step))
-        # Without a goal that pulls into an obstacle: only stay clear with little control.
+        # Without a goal that pulls into an obstacle: only stay clear, with little control.
         self._clear = replace(
             problem, horizon=look_ahead, terminal=Region(), gamma=1.0, state_weight=0.0, trap_weight=0.0
         )
@@ -158,7 +158,7 @@ def _finished_by_ray(
     if not lacking:
         return
     solve = partial(_solve_there, (problem.task, problem.form, problem.clearance, settings))
-    for index, data in map_in_ray(address, solve, lacking, folder, shared=True):  # it writes nothing there
+    for index, data in map_in_ray(address, solve, lacking, folder, shared=True):  # workers write nothing there
         write_chunk(folder, index, data)
         yield index, 0.0
 

@@ -20,7 +20,7 @@ def step_discount(task: NavigationTask, discount: float, time_steps: ArrayLike) 
 def rewards(task: NavigationTask, states: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
     """Return r(x) (Eq. 3.15, 3.17) and whether the episode ends there, both (...), for states (..., n)."""
     states = np.array(states, dtype=float)
-    for index, state in enumerate(task.system.build().states):  # regions know angles by name, but no other circles
+    for index, state in enumerate(task.system.build().states):  # regions identify angles only, by name
         if state.periodic and state.name not in ANGLES and state.name in task.goal.region.intervals:
             middle = task.goal.region.intervals[state.name].centre
             states[..., index] = nearest_turn(states[..., index], middle, state.upper - state.lower)

@@ -72,7 +72,7 @@ def recordings(bag: Path) -> list[Recording]:
     topics = [name for name, topic in bag_info(bag).topics.items() if topic.type == TYPE]
     if not topics:
         raise OptionError(f"{bag}: holds no topic of {TYPE}: record joint_option_step too")
-    # By number, not by arrival: for a moment two coordinators may have decided at the same time.
+    # Ordered by number, not by arrival, because two coordinators may briefly decide at the same time.
     lives: dict[tuple[str, int], dict[int, _Step]] = {}
     for message in read_messages(bag, topics):
         with fields_of(f"{bag}: a message of {message.topic}"):

@@ -85,7 +85,7 @@ class TeamBag:
             BagError: Writing fails.
         """
         types = self._store.types
-        self._time += max(round(fields["duration"] * self._time_step * _SECOND_NS), 1)  # no two at one time
+        self._time += max(round(fields["duration"] * self._time_step * _SECOND_NS), 1)  # stamps must be distinct
         stamp = types["builtin_interfaces/msg/Time"](*divmod(self._time, _SECOND_NS))
         message = types[TYPE](header=types["std_msgs/msg/Header"](stamp, ""), **fields)
         self._writer.write(TOPIC, bytes(self._store.serialize_cdr(message, TYPE)), self._time)

@@ -215,7 +215,7 @@ class OptionEnvironment:
     def _pause(self, rewards: list[float], terminated: bool, truncated: bool) -> Decision:
         over = terminated or truncated
         if self.synchronisation == "cut" or (over and self.synchronisation == "wait"):
-            # At a time-out too: a synchronous team never saw a moment at which somebody ran on, nor its value.
+            # Also at a time-out: a synchronous team never learns the value of states in which an option continues.
             for agent in np.flatnonzero(self._running != NONE):
                 self.simulation.interrupt(int(agent))
                 self._end(int(agent), finished=False)

@@ -107,7 +107,7 @@ class OptionCoordinator(SuiteNode):
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = PARAMETERS
-    SHARED_MEMORY = False  # a frozen or killed robot would leave it deaf
+    SHARED_MEMORY = False  # a frozen or killed robot would block the service
 
     def __init__(self) -> None:
         super().__init__("option_coordinator")
@@ -126,7 +126,7 @@ class OptionCoordinator(SuiteNode):
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
         self._steps = self.create_publisher(JointOptionStep, "joint_option_step", EXCHANGE)
         self._heartbeats = self.create_publisher(CoordinatorStatus, "coordinator_status", EXCHANGE)
-        # As bytes: an oversized message is refused before it is deserialised, which would take long.
+        # As bytes, so that an oversized message is rejected before its slow deserialisation.
         hears = partial(self._on_message, request_in, self._on_request)
         self.create_subscription(OptionRequest, "option_requests", hears, EXCHANGE, raw=True)
         hears = partial(self._on_message, status_of, self._coordinator.on_status)

@@ -88,7 +88,7 @@ class OptionAgent:
     ) -> None:
         timeouts = timeouts or ClientTimeouts()
         self._now = Clocks(node)
-        # Lives of a robot are told apart, and ordered, by when they began: of the wall's clock, which goes on.
+        # Incarnations of a robot are identified and ordered by their start on the wall clock, which persists.
         self.client = OptionClient(name, len(options), executor, time.time_ns(), safe_option, timeouts, team)
         prefix = f"{namespace.rstrip('/')}/" if namespace else ""
         self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)

@@ -171,7 +171,7 @@ class JointPolicy(ABC):
 def log_sum_exp(x: Array, axis: int | tuple[int, ...] | None = None) -> Array:
     """Return log sum exp; -inf if all terms are -inf."""
     top = np.maximum.reduce(x, axis=axis, keepdims=True, initial=-np.inf)  # the methods take twice as long
-    if np.isfinite(top).all():  # as nearly always: the rest costs more than this
+    if np.isfinite(top).all():  # the usual case; the general one costs more
         out = np.log(np.add.reduce(np.exp(x - top), axis=axis, keepdims=True)) + top
     else:
         safe = np.where(np.isfinite(top), top, 0.0)
@@ -189,7 +189,7 @@ def draw(log_probabilities: Array, generator: np.random.Generator) -> JointOptio
     total = np.cumsum(np.exp(log_probabilities), axis=-1)
     if not np.isfinite(total[..., -1]).all():
         raise OptionError(_NOT_FINITE)
-    # Scaled by the last sum: rounding must not put a draw beyond the last option.
+    # Scaled by the last sum, so that rounding cannot put a sample beyond the last option.
     level = generator.random(total.shape[:-1])[..., None] * total[..., -1:]
     return np.asarray((total <= level).sum(axis=-1))
 
@@ -200,7 +200,7 @@ def most_likely(log_probabilities: Array) -> int:
     Raises:
         OptionError: As for `draw`.
     """
-    best = int(np.argmax(log_probabilities))  # the first that is not a number, if there is one
+    best = int(np.argmax(log_probabilities))  # the first NaN, if there is one
     if not np.isfinite(log_probabilities.flat[best]):
         raise OptionError(_NOT_FINITE)
     return best

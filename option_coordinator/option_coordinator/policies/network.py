@@ -18,7 +18,7 @@ from option_coordinator.policies.joint_policy import (
 )
 
 Tensors = Mapping[str, Array]
-_EPSILON = 1e-5  # torch's
+_EPSILON = 1e-5  # as in torch
 
 
 def linear(tensors: Tensors, name: str, x: Array) -> Array:
@@ -28,7 +28,7 @@ def linear(tensors: Tensors, name: str, x: Array) -> Array:
 
 def layer_norm(tensors: Tensors, name: str, x: Array) -> Array:
     """Normalise x (..., n) to mean 0 and variance 1 over its components, then scale and shift it."""
-    size = x.shape[-1]  # sums, because means take three times as long on few numbers
+    size = x.shape[-1]  # sums, because means take three times as long for few numbers
     centred = x - x.sum(axis=-1, keepdims=True) / size
     scale = np.sqrt((centred * centred).sum(axis=-1, keepdims=True) / size + _EPSILON)
     return np.asarray(centred / scale * tensors[f"{name}.weight"] + tensors[f"{name}.bias"])
@@ -218,7 +218,7 @@ class _MixtureConditional(Conditional):
         running, legal = self.running, self.legal
         runs = np.flatnonzero(running != NONE)
         self._agents = np.flatnonzero(self.choosing)
-        if len(runs):  # each sum of exponentials left out is a tenth of a small decision
+        if len(runs):  # each omitted sum of exponentials saves a tenth of a small decision
             fixed = logits[:, runs]
             weights = weights + (fixed[:, np.arange(len(runs)), running[runs]] - log_sum_exp(fixed, -1)).sum(axis=1)
         allowed = logits[:, self._agents]
@@ -253,7 +253,7 @@ class _MixtureConditional(Conditional):
         """Set each agent's option in turn to its best value, given the rest."""
         agents = np.arange(len(self._agents))
         chosen = options[self._agents]
-        terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri, of what is chosen
+        terms = self._weights + self._factors[:, agents, chosen].sum(axis=1)  # log w_r prod_i p_ri of chosen options
         for _ in range(_SWEEPS):
             before = chosen.copy()
             for agent in agents:

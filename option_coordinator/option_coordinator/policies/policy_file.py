@@ -178,7 +178,7 @@ class OptionPolicy:
             agents = tuple(Agent(agent.name, tuple(agent.options), agent.observation_size) for agent in told.agents)
             rest = told.model_dump(exclude={"format", "agents"})
             policy = cls(agents=agents, tensors=tensors, **rest)
-            policy.__dict__["digest"] = digest  # of what was read, however it was written
+            policy.__dict__["digest"] = digest  # digest of the content read, independent of the writer
             policy.check()
         return policy
 
@@ -190,7 +190,7 @@ class OptionPolicy:
         """
         everyone = np.ones(len(self.agents), dtype=bool)
         try:
-            # Of one agent after the other too: each way through the network must have tensors of the right sizes.
+            # For autoregressive policies too: every path through the network must have tensors of the right sizes.
             for choosing in (everyone, *(everyone & (np.arange(len(everyone)) == i) for i in range(len(everyone)))):
                 given = self.joint.given(np.zeros(self.joint.observation_size), choosing, np.where(choosing, NONE, 0))
                 given.log_prob(given.sample(np.random.default_rng(0)))

@@ -94,7 +94,7 @@ class Coordinator(Replica):
         refusal = refusal_of(request, agent, self.epoch, now.stamp - request.stamp, self._timeouts.stale)
         if self._decides(now):
             return self._answer(entry, request, refusal, now)
-        if refusal is None:  # the robot asks again, and its heartbeats say what it runs
+        if refusal is None:  # the robot repeats its request, and its heartbeats report its option
             self._query.observe(request)
         return Answers()
 
@@ -105,12 +105,12 @@ class Coordinator(Replica):
             return Answers()
         if entry.leaps(status.request_id):
             self.counts["request number leaps"] += 1
-            entry.told_id = status.request_id  # who is right, its next heartbeat says
+            entry.told_id = status.request_id  # its next heartbeat decides who is right
             return Answers()
         entry.told_id = status.request_id
         if status.request_id < entry.request_id:
             if not entry.believe_lower(status.request_id, now.steady, self._timeouts.lost_after):
-                return Answers()  # it was sent before the request
+                return Answers()  # sent before the request
             self.counts["requests that were not the robot's"] += 1
         if status.state is AgentState.RUNNING:
             self._believe(entry, status, now)
@@ -157,7 +157,7 @@ class Coordinator(Replica):
 
     def _answer(self, entry: RobotState, request: Request, refusal: Refusal | None, now: ClockReading) -> Answers:
         """Answer the request of a known robot in this epoch."""
-        if request.coordinator_epoch > self.epoch:  # the robot would not obey
+        if request.coordinator_epoch > self.epoch:  # the robot would ignore it
             self.counts["requests of higher epochs"] += 1
             return Answers()
         if entry.leaps(request.request_id):

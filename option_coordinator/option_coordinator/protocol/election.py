@@ -58,7 +58,7 @@ class Epochs:
         if now - last > self._lease:
             first = now
         if len(self._leaps) >= _CANDIDATES:
-            del self._leaps[next(iter(self._leaps))]  # heard longest ago
+            del self._leaps[next(iter(self._leaps))]  # received longest ago
         self._leaps[epoch] = (first, now)
         return now - first >= self._lease
 

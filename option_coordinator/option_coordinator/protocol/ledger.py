@@ -21,11 +21,11 @@ MOST_UNHEARD = 1000
 class State(StrEnum):
     """State of a robot, as known to the coordinator."""
 
-    UNKNOWN = "unknown"  # never heard from
+    UNKNOWN = "unknown"  # no message received yet
     IDLE = "idle"  # no open request, and no known option
-    WAITING = "waiting"  # has asked
-    GRANTED = "granted"  # has a grant that it has not acknowledged
-    RUNNING = "running"  # carries it out
+    WAITING = "waiting"  # has sent a request
+    GRANTED = "granted"  # has a grant that is not yet acknowledged
+    RUNNING = "running"  # runs the granted option
     SUSPECT = "suspect"  # silent for a lease
     LOST = "lost"  # silent for longer
 
@@ -234,7 +234,7 @@ class RobotState:
             OptionError: The robot was never heard.
         """
         self._must_be_heard()
-        self.phase = State.IDLE  # a cancelled grant stays cancelled: a repeated request gets that answer again
+        self.phase = State.IDLE  # a cancelled grant stays cancelled: a repeated request gets the same answer
 
     def fall_silent(self, now: float, lease: float, lost_after: float) -> bool:
         """Update the silence state; return whether the robot is newly lost. A lost robot's request is dropped."""

@@ -188,7 +188,7 @@ class OptionClient:
         elif wanting:
             self._accept(grant, now)
         else:
-            self._status_at = now.steady  # the coordinator has not heard that it is carried out
+            self._status_at = now.steady  # the coordinator has not been informed that it is running
 
     def tick(self, now: ClockReading) -> None:
         """Advance time: start the safe option if no grant arrives or an option exceeds its deadline."""

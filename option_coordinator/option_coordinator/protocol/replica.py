@@ -129,7 +129,7 @@ class Replica:
         entry = self.ledger.get(told.agent)
         if entry is None:
             self.counts["messages of unknown robots"] += 1
-            own = told.team == self.team != ""  # a robot that names no team may belong to another one
+            own = told.team == self.team != ""  # a robot without a team name may belong to another team
             return UNKNOWN_ROBOT if own else None
         self._wake(now)
         self._on_claim(entry, told, now)

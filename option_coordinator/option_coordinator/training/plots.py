@@ -27,12 +27,12 @@ class Learning(Figures):
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
     """Draw the return of episodes over environment steps during training."""
-    # Methods with larger budgets would squeeze the others' curves.
+    # Methods with larger budgets would compress the others' curves.
     there = [name for name in METHODS if name in figures["curves"] and not METHODS[name].budget]
     chosen = there if len(there) <= MOST_LINES else [name for name in _FIRST if name in there]
     lines = [line_of(name, METHODS[name].label, figures["curves"][name]) for name in chosen]
     scripted = figures["scripted"]
-    # Returns that are all negative span orders of magnitude.
+    # All-negative returns span orders of magnitude.
     linear_below = 0.5 * abs(scripted) if scripted < 0.0 else None
     panel = Panel("", lines, {"scripted": scripted})
     title = f"{figures['task']}: {best_of(lines, figures['metric'])}"

@@ -200,5 +200,5 @@ def placed(shape: Shape, plane: str) -> tuple[list[float], list[float], list[flo
         return [0.5 * size[0], 0.5 * size[1], 0.5 * WALL_HEIGHT], [first, second, 0.5 * WALL_HEIGHT], [0.0, 0.0, s, c]
     extents, position = [0.5 * size[0], 0.5 * SLAB_DEPTH, 0.5 * size[1]], [first, 0.0, second]
     if isinstance(shape, Box):
-        return extents, position, [0.0, -s, 0.0, c]  # counter-clockwise from x to z is about -y
-    return extents, position, [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a disc is a cylinder across the plane
+        return extents, position, [0.0, -s, 0.0, c]  # counter-clockwise from x to z means about -y
+    return extents, position, [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a disc is a cylinder normal to the plane

@@ -224,7 +224,7 @@ class MujocoWheels(_MujocoRobot):
 
     def velocity(self) -> Array:  # noqa: D102
         v_x, v_y, _, _, _, omega = self._data.qvel[self._rate].tolist()
-        return np.array((v_x, v_y, omega))  # omega about the body's own axis: upright but for a thousandth
+        return np.array((v_x, v_y, omega))  # omega is about the body's own axis, which is vertical within a thousandth
 
     def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
         _, _, _, w, i, j, k = self._data.qpos[self._place].tolist()

@@ -25,10 +25,10 @@ MOTOR = "_motor"
 """Suffix of a motor's joint, after the wheel's name."""
 ROOT = "base_footprint"
 
-_HULL_FRICTION = 0.25  # of a hull along a wall, as two surfaces of PyBullet's default 0.5 have it
+_HULL_FRICTION = 0.25  # friction between hull and wall, equivalent to PyBullet's default of 0.5 for both surfaces
 _MOVERS = 2  # contact bit of movers
-_SHAFT = 1e6  # moment of inertia of a motor's shaft [kg m^2]: nothing slows it
-_LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail, which MuJoCo wants to have some
+_SHAFT = 1e6  # moment of inertia of a motor's shaft [kg m^2], large enough that nothing slows it down
+_LIGHT = 1e-9  # mass [kg] and moment of inertia [kg m^2] of a rail; MuJoCo requires them to be positive
 
 
 def prefix(robot: int) -> str:
@@ -57,7 +57,7 @@ def build_model(
     option = spec.option
     option.timestep = 1.0 / rate
     option.gravity = (0.0, 0.0, -GRAVITY if plane == "xy" else 0.0)
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # with its implicit kin the wheels hop
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # MuJoCo's implicit integrators make the wheels hop
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     if plane == "xy":
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.0, 1.0, 1.0), friction=(0.0, 0.0, 0.0))
@@ -115,7 +115,7 @@ def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
     for name in WHEELS:
         joint = spec.joint(name)
         for rim in joint.parent.geoms:
-            rim.priority = 1  # over the floor: the wheel's friction holds, which is set when the robot is placed
+            rim.priority = 1  # over the floor: use the wheel's friction, which is set when the robot is placed
         _add_motor(spec, name, robot.torque, rate)
     return spec
 
@@ -130,8 +130,8 @@ def _add_motor(spec: mujoco.MjSpec, wheel: str, torque: float, rate: int) -> Non
     clutch = spec.add_tendon(
         name=wheel,
         frictionloss=torque,
-        solref_friction=(-1.0, -float(rate)),  # stiffness and damping: the wheel has the shaft's speed a step later
-        solimp_friction=(0.9999, 0.9999, 0.001, 0.5, 2.0),  # as hard as it can be
+        solref_friction=(-1.0, -float(rate)),  # stiffness and damping: the wheel follows the shaft within a step
+        solimp_friction=(0.9999, 0.9999, 0.001, 0.5, 2.0),  # maximum stiffness
     )
     clutch.wrap_joint(wheel, 1.0)
     clutch.wrap_joint(wheel + MOTOR, -1.0)

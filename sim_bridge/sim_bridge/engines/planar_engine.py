@@ -202,7 +202,7 @@ class PlanarFlight(_PlanarRobot):
 
     def place(self) -> tuple[float, float, float]:  # noqa: D102
         x, z, psi = self._pose.tolist()
-        return x, z, -psi  # psi turns clockwise in the x-z plane
+        return x, z, -psi  # psi is clockwise in the x-z plane
 
     def pose(self) -> Array:  # noqa: D102
         return self._pose.copy()

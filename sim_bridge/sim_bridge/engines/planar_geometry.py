@@ -132,7 +132,7 @@ def cast(shapes: Any, x: float, y: float, rays: Any, free: Any) -> None:
     """Write the free fraction of each ray (n, 2) from (x, y) into `free` (n,)."""
     order, away = np.empty(len(shapes), np.int64), np.empty(len(shapes))
     count = 0
-    for index in range(len(shapes)):  # the nearest ones first, as they hide those behind them
+    for index in range(len(shapes)):  # nearest shapes first, because they hide those behind them
         shape = shapes[index]
         if shape[SEEN] > 0.0:
             outer = shape[RADIUS] + math.hypot(shape[HALF_X], shape[HALF_Y])
@@ -165,7 +165,7 @@ def wheel_speeds(speeds: Any, wanted: Any, own: float, shared: float, most: floa
     """
     left, right = wanted[0] - speeds[0], wanted[1] - speeds[1]
     first = second = 0.0
-    for _ in range(50):  # Gauss-Seidel with limits; it contracts by (shared / own)^2
+    for _ in range(50):  # Gauss-Seidel with limits; contracts by (shared / own)^2
         before = first
         first = min(max((left - shared * second) / own, -most), most)
         second = min(max((right - shared * first) / own, -most), most)

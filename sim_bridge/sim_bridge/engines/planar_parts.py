@@ -42,7 +42,7 @@ class WheeledModel:
     @property
     def answers(self) -> tuple[float, float]:
         """Speed change per impulse of a wheel itself and of the other wheel [rad/s per N m s]."""
-        # Kinetic energy in the wheels' speeds: equal parts `straight` where both turn alike, `turn` where they differ.
+        # Kinetic energy in wheel speeds: coefficient `straight` for equal speeds, `turn` for opposite ones.
         straight = 0.5 * self.mass * self.wheel_radius**2 + self.wheel_inertia
         turn = 2.0 * self.inertia * (self.wheel_radius / self.wheel_separation) ** 2 + self.wheel_inertia
         return 0.5 * (1.0 / straight + 1.0 / turn), 0.5 * (1.0 / straight - 1.0 / turn)

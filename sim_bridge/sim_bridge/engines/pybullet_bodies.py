@@ -22,7 +22,7 @@ from sim_bridge.engines.quiet_pybullet import pybullet
 
 ALL_GROUPS = 0x7FFFFFFF
 """Contact and ray mask that matches every body."""
-_STATIC_GROUP = 2  # of all bodies without mass
+_STATIC_GROUP = 2  # applies to all massless bodies
 
 
 class PybulletWheels:
@@ -31,7 +31,7 @@ class PybulletWheels:
     def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: WheeledRobot) -> None:
         self._client, self._body, self._torque = client, body, robot.torque
         self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
-        if robot.friction != 1.0:  # that of the URDF
+        if robot.friction != 1.0:  # as in the URDF
             for wheel in self._wheels:
                 pybullet.changeDynamics(body, wheel, lateralFriction=robot.friction, physicsClientId=client)
         self.turn_wheels(0.0, 0.0)
@@ -75,7 +75,7 @@ class PybulletMover:
         self._client = client
         _, self._place, self._attitude = placed(disc, plane)
         self._second = 1 if plane == "xy" else 2
-        self._lift = GRAVITY / rate if plane == "xy" else 0.0  # what gravity takes in a step
+        self._lift = GRAVITY / rate if plane == "xy" else 0.0  # speed gained from gravity in a step
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_CYLINDER,
             radius=disc.radius,

@@ -28,9 +28,9 @@ from sim_bridge.engines.pybullet_bodies import ALL_GROUPS, PybulletJoints, Pybul
 from sim_bridge.engines.quiet_pybullet import pybullet
 from sim_bridge.errors import SimulationError
 
-_SHAPES_PER_BODY = 16  # a limit of PyBullet; merged shapes make stepping, ray casts and resets cheaper
-_FEW = 16  # fixed bodies that are all searched: telling which are near would cost more
-_SOLVER_ITERATIONS = 30  # speeds of a drive within 0.3 %; PyBullet's 50 cost half as much again
+_SHAPES_PER_BODY = 16  # a limit of PyBullet; merged shapes speed up stepping, ray casts and resets
+_FEW = 16  # number of fixed bodies below which all are searched, which is cheaper than a selection
+_SOLVER_ITERATIONS = 30  # speeds of a drive are within 0.3 %; PyBullet's default of 50 costs half as much again
 
 
 def _check_display() -> None:
@@ -69,7 +69,7 @@ class PybulletEngine:
         self._boxes: list[Array] = []
 
     def begin(self, plane: str, shapes: Sequence[Shape]) -> None:  # noqa: D102 - see Engine
-        pybullet.resetSimulation(physicsClientId=self.client)  # contact caches included
+        pybullet.resetSimulation(physicsClientId=self.client)  # including contact caches
         pybullet.setGravity(0.0, 0.0, -GRAVITY if plane == "xy" else 0.0, physicsClientId=self.client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=1.0 / self.rate,

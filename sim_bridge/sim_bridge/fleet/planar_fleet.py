@@ -142,7 +142,7 @@ class PlanarFleet:
         self._substeps = whole_steps(task, self._rate)
         self._world = task.build_world()
         self._motion = make_motion(task, self.system, size, self._rate)
-        self._sense = 1.0 if task.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self._sense = 1.0 if task.plane == "xy" else -1.0  # psi is clockwise in the x-z plane
         self._parts, self._outer = self._motion.outline
         shapes = [shape_row(shape) for shape in (*self._world.walls, *self._world.obstacles)]
         self._shapes = np.concatenate((np.array(shapes).reshape(-1, COLUMNS), np.zeros((len(self._parts), COLUMNS))))
@@ -253,7 +253,7 @@ class PlanarFleet:
         names, states, task = self.system.state_names, self.states()[robots], self.task
         tilted = np.abs(places[:, 2]) > self._tilt
         touching = free <= TOUCH
-        found = np.zeros(len(robots), dtype=np.intp)  # later lines overrule earlier ones
+        found = np.zeros(len(robots), dtype=np.intp)  # later lines take precedence
         found[self._steps[robots] >= self._limit] = Outcome.TIMEOUT
         if task.trap is not None:
             found[task.trap.region.contains(names, states)] = Outcome.TRAP

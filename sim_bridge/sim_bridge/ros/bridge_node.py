@@ -161,7 +161,7 @@ class Bridge(SuiteNode):
         except CtrlRlError as error:
             response.success, response.message, response.episode = False, str(error), self._episode
             return response
-        self._steps_before += steps + 1  # no two messages of a topic with one stamp
+        self._steps_before += steps + 1  # no two messages of a topic may have the same stamp
         self._episode += 1
         self._begin_episode()
         response.success, response.message, response.episode = True, f"episode {self._episode}", self._episode

@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # the ROS wheels have none; scan and odometry need none either
+except ImportError:  # missing in the ROS wheels; scan and odometry do not need it either
     TFMessage = None
 
 WORLD_FRAME = "map"

@@ -36,7 +36,7 @@ class LocalisationPublisher:
         self._error: float = settings["localisation_error"] if noisy else 0.0
         self._heading_error: float = settings["localisation_heading_error"] if noisy else 0.0
         self._rate: float = settings["localisation_rate"]
-        self._sense = 1.0 if frames.plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self._sense = 1.0 if frames.plane == "xy" else -1.0  # psi is clockwise in the x-z plane
         self.publisher = None
         if settings["localisation"] != "none":
             self.publisher = CountedPublisher(node, PoseWithCovarianceStamped, frames.topic("amcl_pose"), LATCHED)

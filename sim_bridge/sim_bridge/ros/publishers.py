@@ -53,7 +53,7 @@ class RobotPublisher:
         self._description.publish(model.description)
         told = () if localisation.publisher is None else (localisation.publisher,)
         self.publishers = (self._scan, self._odom, self._truth, self._episode, self._joints, *told)
-        # A message is serialised while it is published, so each is made once and filled again and again.
+        # Messages are serialised on publication, so each object is created once and reused.
         self._scan_message = LaserScan(scan_time=1.0 / world.lidar.spec.rate)
         self._scan_message.header.frame_id = frames.scan
         self._odom_message = _empty_odometry(frames.odom, frames.base)

@@ -48,7 +48,7 @@ class RobotModel:
         self._joints = {joint.get("name", ""): _read(joint) for joint in ET.fromstring(text).iter("joint")}
         self.fixed = [self._transform(joint) for joint in self._joints.values() if joint.kind == "fixed"]
         if frames.plane == "xz":
-            # The lidar turns about its own z, which points along -y of the body: bearings run from x to z.
+            # The lidar rotates about its own z, which points along -y of the body: bearings run from x to z.
             scan = transform(frames.base, frames.scan, (0.0, 0.0, 0.0))
             scan.transform.rotation.x = scan.transform.rotation.w = math.sqrt(0.5)
             self.fixed = [scan]

@@ -126,7 +126,7 @@ class DifferentialDrive:
         self.radius = radius
         lag = drive.lag if options.motor_lag is None else options.motor_lag
         self._share = -math.expm1(-1.0 / (options.rate * lag))
-        self._counted = drive.wheel_radius / options.wheel_radius  # turns as if the wheels had their true radius
+        self._counted = drive.wheel_radius / options.wheel_radius  # rotates as if the wheels had their true radius
         self._speeds = (0.0, 0.0)
         v, omega = np.abs(self.bounds).max(axis=1)
         self._top_speed = float(1.2 * (v + omega * radius) * (drive.wheel_radius / self._counted))

@@ -110,7 +110,7 @@ class Lidar:
             reach = largest * np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
             free = engine.cast(frame.origin, frame.origin + reach @ frame.axes, robot)
             ranges = np.where(free < 1.0, free * largest, np.inf)
-        # Drawn whether used or not: two noise levels with the same seed then differ by scale alone.
+        # Always drawn, so that two noise levels with the same seed differ only in scale.
         error, lot = random.standard_normal(len(bearings)), random.random(len(bearings))
         ranges += self.noise * error
         ranges[ranges > largest] = np.inf
@@ -128,7 +128,7 @@ class Lidar:
         """Return the bearings of this scan, their increment, and the range limits."""
         if self.kind != "lds02":
             return self.bearings, self.spec.angle_increment, (self.spec.range.low, self.spec.range.high)
-        count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, the count the increment
+        count = random.uniform(*_LDS02_BEAMS)  # the increment follows the motor's speed, and the count the increment
         increment = 2.0 * np.pi / count
         bearings = np.asarray(increment * np.arange(int(np.ceil(count))), dtype=np.float64)
         return bearings, increment, _LDS02_REACH

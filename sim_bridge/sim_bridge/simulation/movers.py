@@ -38,7 +38,7 @@ class _Mover:
     body: MovingDisc
     position: Pair
     velocity: Pair = _STILL
-    steps: int = 0  # physics steps under way
+    steps: int = 0  # physics steps since its start
     started: bool = False
 
 
@@ -92,7 +92,7 @@ class Movers:
         elif mover.started:
             mover.steps += 1
         velocity = ((there[0] - here[0]) * self._rate, (there[1] - here[1]) * self._rate)
-        if math.hypot(*velocity) > 2.0 * self.top_speed:  # a motion that jumps back to its beginning
+        if math.hypot(*velocity) > 2.0 * self.top_speed:  # the motion jumps back to its start
             here, velocity = there, _STILL
         mover.body.move(here, velocity)
         mover.position, mover.velocity = there, velocity

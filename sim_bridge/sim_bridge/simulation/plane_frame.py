@@ -18,7 +18,7 @@ class PlaneFrame:
 
     def __init__(self, plane: str, system: System) -> None:
         self._plane, self._names = plane, system.state_names
-        self._sense = 1.0 if plane == "xy" else -1.0  # psi turns clockwise in the x-z plane
+        self._sense = 1.0 if plane == "xy" else -1.0  # psi is clockwise in the x-z plane
 
     def named(self, pose: Array, velocity: Array) -> Array:
         """Return the state (n,) in the system's order, angles in [-pi, pi).

@@ -47,7 +47,7 @@ class _Robot:
     episode: EpisodeState
     measured_at: int = -1  # physics step of the last measured clearance
     judged_at: int = -1
-    speed: float = 0.0  # of its fastest point when it was last judged
+    speed: float = 0.0  # speed of the fastest point at the last check
 
 
 class SimulatedWorld:
@@ -303,7 +303,7 @@ class SimulatedWorld:
         free = min(entry.episode.clearance for entry in self._robots)
         steps = self._judge_every
         if free < closing * horizon:
-            steps = max(1, int(free / closing * self.options.rate))  # 1 where the speed is not known
+            steps = max(1, int(free / closing * self.options.rate))  # 1 if the speed is unknown
         self._next_check = self.steps + steps
 
     def _bring_up_to_date(self, robot: int) -> None:

@@ -46,7 +46,7 @@ class AgentInterface(NamedTuple):
     def encoder(self, settings: Settings) -> TorchEncoder:
         """Create an untrained encoder psi."""
         middle, unit = torch.from_numpy(self.middle), torch.from_numpy(self.unit)
-        if settings.scale == "seen":  # each component has a scale of its own
+        if settings.scale == "seen":  # each component has its own scale
             middle, unit = (scale.expand(self.shape).clone() for scale in (middle, unit))
         sizes, crop = (self.shape, settings.latent, settings.hidden, settings.depth), settings.crop or None
         halved, normalised = settings.bfloat16 == "all", settings.critic == "model_based"

@@ -113,7 +113,7 @@ class Agent(nn.Module, ABC):
         for name, figure in figures.items():
             if name not in self._noted:
                 self._noted[name] = (torch.zeros_like(figure), torch.zeros_like(figure))
-            total, count = self._noted[name]  # in place, as a recorded CUDA graph repeats it
+            total, count = self._noted[name]  # in place, because a recorded CUDA graph repeats it
             total.add_(figure)
             count.add_(1.0)
 

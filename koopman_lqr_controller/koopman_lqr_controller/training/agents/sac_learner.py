@@ -57,7 +57,7 @@ class SacLearner:
         """Act and learn for one chunk; return the numbers of actions executed and episodes started."""
         model = self._model
         model.set_random_seed(int(np.random.SeedSequence((self._seed, chunk)).generate_state(1)[0]) % 2**31)
-        model._last_obs = None  # makes `learn` begin a fresh episode
+        model._last_obs = None  # makes `learn` start a new episode
         counter, before = _Counter(episodes), model.num_timesteps
         model.learn(actions, callback=counter, reset_num_timesteps=False)
         return model.num_timesteps - before, counter.begun

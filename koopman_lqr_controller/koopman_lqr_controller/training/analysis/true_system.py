@@ -38,7 +38,7 @@ class StraightCorridor:
         """Return the next state (4,) under a command (2,): speed [m/s], turn rate [rad/s]."""
         offset, heading, (v, omega) = float(state[0]), float(state[1]), command
         turned = 0.5 * omega * self.dt
-        # The chord of an arc: sinc is the one of NumPy, sin(pi x) / (pi x).
+        # The chord of an arc, with NumPy's sinc, sin(pi x) / (pi x).
         return np.array(
             [
                 offset + v * self.dt * np.sinc(turned / np.pi) * np.sin(heading + turned),

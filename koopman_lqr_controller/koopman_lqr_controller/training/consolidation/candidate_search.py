@@ -166,7 +166,7 @@ class CandidateSearch:
                 meets = self._meets(candidate)
                 max_return_loss = candidate.lost > self.config.max_return_loss * abs(self.learnt_score)
                 if meets["return"] or not meets["error"] or max_return_loss:
-                    return tried  # done, or more dimensions are wanted, not less prediction
+                    return tried  # done, or more dimensions are needed rather than less prediction
         return tried
 
     def _meets(self, candidate: Candidate) -> dict[str, bool]:

@@ -228,7 +228,7 @@ class _Training:
         z_ref = phi(learnt.z_ref) if goal else z.mean(axis=0)
         z_ref, a_ref = reference_inside(z_ref, offset - K @ z_ref, K, np.cov(z.T).reshape(len(Q), len(Q)))
         encoder = learnt.encoder.followed_by(phi.layers)
-        drift = drift + A @ z_ref + B @ a_ref - z_ref  # of deviations from the reference
+        drift = drift + A @ z_ref + B @ a_ref - z_ref  # offset of deviations from the reference
         return DistilledPolicy(
             learnt.encoder,
             phi,

@@ -138,7 +138,7 @@ def _load_suite(pictures: bool) -> Any:
         os.environ.setdefault("MUJOCO_GL", "egl" if pictures else "disabled")
     from absl import logging
 
-    logging.set_verbosity(logging.ERROR)  # its models use names that MuJoCo calls old
+    logging.set_verbosity(logging.ERROR)  # its models use names deprecated in MuJoCo
     from dm_control import suite
 
     return suite

@@ -121,7 +121,7 @@ class Corridor(gymnasium.Env[Vector, Vector]):
         self._full_step = speed.high * self.task.episode.time_step
         path = self._world.geometry.path
         assert path is not None
-        self._path_coordinates = PathCoordinates(path)  # the same at every width
+        self._path_coordinates = PathCoordinates(path)  # the same for every width
         self._along = self._furthest = 0.0
         self._since = 0
         size = len(self.robot_interface.observation.names)

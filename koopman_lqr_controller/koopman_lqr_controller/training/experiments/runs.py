@@ -98,7 +98,7 @@ class LearningRun(Run):
         plan = self.plan(options)
         names = ("iterations", "samples", "evaluations", "final_evaluations")
         budget = {name: getattr(options, name) for name in names}
-        kept = {"keep": self.keep} if self.keep != "best" else {}  # runs of before it could be chosen go on
+        kept = {"keep": self.keep} if self.keep != "best" else {}  # keeps the digests of runs that predate this option
         return {**self.description, **budget, **kept, "consolidation": None if plan is None else plan.as_json()}
 
     @contextmanager
@@ -122,7 +122,7 @@ class LearningRun(Run):
 
     def should_stop(self, curve: Sequence[IterationMetrics]) -> bool:
         """Return whether a task's episode budget or its patience is exhausted."""
-        # What others offer has all of the budget: their curves may rise late, and ours must not win by that.
+        # Other methods use the full budget: their curves may rise late, and ours must not benefit from an early stop.
         patience = self.problem.patience if self.learner == "koopman" else 0
         since_best = sum(point["actions"] > curve[-1]["best_actions"] for point in curve)
         used_up = self.problem.episodes and curve and curve[-1]["episodes"] >= self.problem.episodes
@@ -135,7 +135,7 @@ class LearningRun(Run):
 
 
 def _sac(*terms: Any) -> Learner:
-    from koopman_lqr_controller.training.agents.sac_learner import SacLearner  # its library is for no other learner
+    from koopman_lqr_controller.training.agents.sac_learner import SacLearner  # needed by this learner only
 
     return SacLearner(*terms)
 

@@ -69,7 +69,7 @@ class TorchEncoder(nn.Module):
     def features(self, x: Tensor) -> Tensor:
         """Return the features of observations (N, *shape), or of cropped images."""
         x = self.normalise(x)
-        if x.dim() == 4:  # colours last: quicker
+        if x.dim() == 4:  # channels last is faster
             x = x.contiguous(memory_format=torch.channels_last)
         with self._halved():
             y: Tensor = self.body(x)

@@ -44,7 +44,7 @@ class Representation(nn.Module):
         self.head = nn.Linear(hidden, features + _BINS)
         self.end: nn.Linear = nn.utils.skip_init(nn.Linear, hidden, 1)  # type: ignore[no-untyped-call]
         for parameter in self.end.parameters():
-            nn.init.zeros_(parameter)  # no end is expected before one was met
+            nn.init.zeros_(parameter)  # predicts no end of the episode initially
         self.register_buffer("bins", symmetric_bins(_LARGEST, _BINS))
 
     def forward(self, features: Tensor, u: Tensor) -> Tensor:

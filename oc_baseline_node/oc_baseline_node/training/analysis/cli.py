@@ -157,7 +157,7 @@ def _mpc(options: MpcDrives) -> int:
         "learnt": learnt[:3],
     }
     picture = options.images / f"{task.name}_mpc.png"
-    from ctrl_rl_core.plots import draw_paths  # matplotlib is not for robots
+    from ctrl_rl_core.plots import draw_paths  # matplotlib is not installed on robots
 
     draw_paths(picture, f"{task.name} in the simulator", task, {name: each for name, each in paths.items() if each})
     print(f"picture    {picture}")
@@ -167,7 +167,7 @@ def _mpc(options: MpcDrives) -> int:
 def _learnt_paths(file: Path, task: NavigationTask) -> Sequence[Mapping[str, Any]]:
     from ctrl_rl_learning.study import read_figures
 
-    from oc_baseline_node.training.plots import Learnt  # matplotlib is not for robots
+    from oc_baseline_node.training.plots import Learnt  # matplotlib is not installed on robots
 
     figures = read_figures(file, Learnt)
     if figures["task"] != task.name or "oc_ppo" not in figures["paths"]:

@@ -55,7 +55,7 @@ def transition_errors(
                 action = random.uniform(-1.0, 1.0, 2).astype(np.float32)
                 x = predict(problem.system, x, command(task, action), task.episode.time_step)
                 _, _, terminated, _, info = environment.step(action)
-                if terminated:  # what a wreck does tells nothing of the model
+                if terminated:  # the motion after a crash is irrelevant for the model
                     break
                 if step in STEPS:
                     apart = (x - info["state"])[problem.positions]

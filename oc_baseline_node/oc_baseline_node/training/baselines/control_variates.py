@@ -82,7 +82,7 @@ class ControlVariatePpo(PPO):
                 surrogate = torch.min(free, clipped)
                 now: Any = self.policy.get_distribution(data.observations[part]).distribution
                 reached = now.mean + now.stddev * noise[part] if self.through_noise else now.mean
-                # Like PPO's own gradient, the term is cut where the clipped surrogate is smaller.
+                # As in PPO's own gradient, the term is dropped where the clipped surrogate is smaller.
                 counted = (free <= clipped).float().detach()
                 given_back = counted * (slope[part] * reached).sum(dim=1) / scale
                 assert entropy is not None

@@ -57,8 +57,8 @@ class OcBaseline:
         if value.state_names != task.system.build().state_names:
             raise OcError(f"V_oc of task '{value.task}' has other states than task '{task.name}': fit it for this task")
         offset, scale = observation_scales(task)
-        # A policy acts only while the episode runs, but the collision set of V_oc, which is that of a disc, is larger
-        # than the body: its steps to the collision reward would be met too early.
+        # A policy acts only during the episode, but the collision set of V_oc, a disc, is larger than the body, so its
+        # collision reward would apply too early.
         value = value.without_collisions()
         self._value, self._count, self._noise = value, len(value.state_names), noise
         self._offset, self._scale = offset[: self._count], scale[: self._count]

@@ -53,7 +53,7 @@ class Turtlebot:
     def move(self, waypoint: int, length: float) -> bool:
         """Move one step towards a waypoint; return whether it has been reached."""
         x, y = self.waypoints[waypoint]
-        # Rounded as in the published environment: the optimum of 40 steps hangs on it.
+        # Rounded as in the published environment, because the optimum of 40 steps depends on it.
         distance = round(float(np.hypot(x - self.x, y - self.y)), 2)
         if distance < length:
             self.x, self.y, self.place = x, y, waypoint

@@ -72,7 +72,7 @@ class ToolDeliveryActions(ToolDeliverySimulation):
             robot.waited += robot.is_at_table
         else:
             self._move(robot)
-        robot.option = GET_TOOL  # stands for none: `_pass` may end it, no time runs out
+        robot.option = GET_TOOL  # represents no option: `_pass` may end it, and it has no time limit
         return self._hand_over(robot) if (robot.x, robot.y) == robot.waypoints[WORKSHOP] else 0.0
 
     def _move(self, robot: Turtlebot) -> None:

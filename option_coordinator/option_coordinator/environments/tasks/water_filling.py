@@ -88,7 +88,7 @@ class WaterFillingSimulation:
         self.levels = np.full(count, self.task.start_level)
         self.known = self.levels.copy()
         self.ages = np.zeros(count)
-        self._cell = [[count // 2 for count in self._cells] for _ in self.agents]  # numbers, as arrays of two are slow
+        self._cell = [[count // 2 for count in self._cells] for _ in self.agents]  # scalars are faster
         self._reach = np.zeros((2, count), dtype=bool)
         for agent in (VEHICLE, DRONE):
             self._look(agent)

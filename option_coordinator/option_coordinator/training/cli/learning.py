@@ -73,11 +73,11 @@ def _train(options: Train) -> int:
         return _train_on_bags(options)
     if options.task is None or options.start is not None:
         raise CommandError("give a --task to learn in, or --bags to learn from; --from goes with --bags")
-    task = load_option_task(options.task)  # refuses an unknown one before torch is imported and workers start
+    task = load_option_task(options.task)  # rejects an unknown method before torch is imported and workers start
     if isinstance(task, TeamFile):
         check_ways(task, load_room(task))
     longest = make_environment(options.task).simulation.step_limit
-    least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, whatever the one before overshot
+    least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, regardless of earlier overshoot
     samples = task.training_samples if options.samples is None else options.samples
     if samples < least:
         raise CommandError(
@@ -96,7 +96,7 @@ def _train(options: Train) -> int:
         raise CommandError(f"task '{task.name}' has no method {', '.join(sorted(wrong))}: there are {', '.join(every)}")
     runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
     for run in runs:
-        run.environment()  # refuses images, options or robots that vanish where there are none
+        run.environment()  # raises if the task does not support images, options or drop-outs
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, final_evaluations=options.evaluations)
     train_and_collect(options, task, runs, "options", collect, how, LABELS)
     return 0
@@ -109,7 +109,7 @@ def _train_on_bags(options: Train) -> int:
 
     asked = None if options.way == "auto" else options.way
     run = BagRun(options.bags, options.start, options.task, options.head, asked=asked)
-    run.environment()  # refuses a task of other robots, as `way` and `name` refuse what cannot be learnt from
+    run.environment()  # raises for a task with other robots, like `way` and `name` for unsuitable data
     own = f"this policy's own, {run.left_out} others are left out"
     whose = {"mappo": own, "imitation": "imitated", "weighted": "imitated as far as they paid"}[run.way]
     print(f"learning   {len(run.trajectory)} decisions, {whose}")
@@ -134,7 +134,7 @@ def _evaluate(options: EvaluateOptions) -> int:
 def _figures(options: PlotOptions) -> int:
     from ctrl_rl_learning.study import read_figures
 
-    from option_coordinator.training.plots import Learning, draw_curves  # matplotlib is not for robots
+    from option_coordinator.training.plots import Learning, draw_curves  # matplotlib is not installed on robots
 
     figures = read_figures(options.results, Learning)
     file = options.output / f"{figures['task']}_options.svg"
@@ -214,7 +214,7 @@ def _rows(found: dict[str, list[list[dict[str, Any]]]]) -> list[Result]:
                 ("steps", "steps", "1"),
             ):
                 rows.append(Result(name, metric, unit, [float(rounds[number][key]) for rounds in runs]))
-            if all("predicted" in rounds[number] for rounds in runs):  # runs of before there was a prediction have none
+            if all("predicted" in rounds[number] for rounds in runs):  # missing in runs that predate the prediction
                 predicted = [float(rounds[number]["predicted"]["mean"]) for rounds in runs]
                 rows.append(Result(name, "predicted, discounted", "1", predicted))
                 rows.append(Result(name, "called better", "1", [float(rounds[number]["better"]) for rounds in runs]))

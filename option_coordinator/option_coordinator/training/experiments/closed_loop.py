@@ -124,7 +124,7 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
         environment = make_environment(task)
         result: dict[str, Any] = {"round": number}
         driver = _driver(task, environment, here, bags[:number], settings, seed, result)
-        rmtree(here / "bag", ignore_errors=True)  # of a call that was cut off
+        rmtree(here / "bag", ignore_errors=True)  # left by an interrupted call
         with TeamBag(here / "bag", environment.discount) as bag:
             for _ in play(environment, driver, range(seed, seed + settings.episodes), bag):
                 pass

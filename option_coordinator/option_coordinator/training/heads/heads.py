@@ -97,7 +97,7 @@ class MixtureHead(_Head):
         super().__init__(observation_size, counts)
         self.rank = rank
         self.weights = orthogonal(HIDDEN, rank, HEAD_GAIN)
-        self.head = orthogonal(HIDDEN, rank * sum(counts), 1.0)  # components that are alike would never part
+        self.head = orthogonal(HIDDEN, rank * sum(counts), 1.0)  # identical components would never separate
         option_mask = torch.arange(max(counts)) < torch.tensor(self.counts)[:, None]
         self.register_buffer("option_mask", option_mask, persistent=False)
         countable = math.prod(counts) <= COUNTABLE

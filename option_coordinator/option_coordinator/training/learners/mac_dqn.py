@@ -158,7 +158,7 @@ class MacDqn(Learner):
             self.target.load_state_dict(self.network.state_dict())
             self.target_scale.load_state_dict(self.scale.state_dict())
         rows = self._replay.draw(self.settings.batch, generator)
-        batch = OptionTrajectory(**{**rows, "last": np.ones(self.settings.batch, dtype=bool)})  # each by itself
+        batch = OptionTrajectory(**{**rows, "last": np.ones(self.settings.batch, dtype=bool)})  # each separately
         decisions = decision_batch(batch)
         with torch.no_grad():
             onward = as_tensor(batch.discount * ~batch.terminated)
@@ -181,5 +181,5 @@ class MacDqn(Learner):
         allowed = self.network.allowed(following)
         best = self.network.logits(following.observation).masked_fill(~allowed, -torch.inf).argmax(dim=1)
         values = self.target.logits(following.observation).gather(1, best[:, None])[:, 0]
-        # On the target's own scale, so that targets stay fixed between two copies.
+        # On the target's own scale, so that targets stay fixed between two updates.
         return self.target_scale.undo(values)

@@ -99,7 +99,7 @@ class Mappo(GradientLearner):
         entropy = score.entropy.mean()
         loss = -torch.minimum(ratio * batch.gain, clipped * batch.gain).mean() - settings.entropy * entropy
         value_loss = self._value_loss(batch)
-        self.descend(loss + value_loss)  # they share no parameter
+        self.descend(loss + value_loss)  # the two share no parameters
         return {
             "ratio": float((ratio - 1.0).abs().max().detach()),
             "loss": float(loss.detach()),
@@ -166,7 +166,7 @@ class WeightedImitation(Mappo):
             weights = torch.exp(batch.gain / settings.temperature).clamp(max=settings.largest_weight)
             log_prob = (weights * score.log_prob).sum() / weights.sum()
             value_loss = self._value_loss(batch)
-            self.descend(value_loss - log_prob)  # they share no parameter
+            self.descend(value_loss - log_prob)  # the two share no parameters
             figures = {
                 "loss": float((value_loss - log_prob).detach()),
                 "log_prob": float(log_prob.detach()),
