@@ -107,7 +107,7 @@ def clock_runs(
 
 
 def _mended(bag: Bag, run: Mapping[str, TimeSeries], tell: Tell) -> dict[str, TimeSeries]:
-    """Return a run with what its extractors mend, such as odometry without a twist."""
+    """Return a run with repaired series, e.g. with the twist filled in."""
 
     def told(topic: str) -> Tell:
         return lambda line: tell(f"{bag.path}: {printable(topic)}: {line}")

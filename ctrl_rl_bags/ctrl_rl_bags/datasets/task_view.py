@@ -1,6 +1,6 @@
-"""Frames as learners of a task see them: what its policies observe, actions in [-1, 1], and what the task pays.
+"""Converts frames to the learning data of a task: policy observations, actions in [-1, 1], and rewards.
 
-The numbers are those of the task's environment in `sim_bridge.environments`.
+The values are those of the task's environment in `sim_bridge.environments`.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ _LAST_OUTCOME = 4
 
 
 class TaskView:
-    """Turns columns of frames into observations, states, actions and rewards of a task.
+    """Converts columns of frames to observations, states, actions and rewards of a task.
 
     Attributes:
         interface: Observation and commands of the task's policies.
     """
 
     def __init__(self, task: NavigationTask, layout: Layout, interface: PolicyManifest | None = None) -> None:
-        """Look at frames of a layout.
+        """Set up the conversion for frames of a layout.
 
         Args:
-            task: Task that was driven.
+            task: Task of the drives.
             layout: Layout of the frames.
-            interface: Observation and commands; those of the task's policies unless given.
+            interface: Observation and commands; those of the task's policies by default.
 
         Raises:
-            PolicyError: No node can send the task's commands.
+            PolicyError: The task's commands cannot be sent by a node.
         """
         self.interface = interface or interface_of(task)
         self._rewards, self._scan = task.rewards, layout.scan.geometry
@@ -57,11 +57,11 @@ class TaskView:
         """Return observations (n, size) and states (n, d) of frames.
 
         Args:
-            columns: Frames of one episode that follow each other.
-            before: Command before the first of them (2,); that of a robot that has nothing to do unless given.
+            columns: Consecutive frames of one episode.
+            before: Command before the first frame (2,); the idle command by default.
 
         Raises:
-            PolicyError, ScanError: The scans do not show what a policy observes.
+            PolicyError, ScanError: The scans do not cover a policy's observation.
         """
         seen, states = [], []
         command = np.array(self.interface.rest) if before is None else before
@@ -75,22 +75,22 @@ class TaskView:
         return np.array(seen, dtype=np.float32), np.array(states)
 
     def actions(self, commands: Array) -> Vectors:
-        """Return the actions (n, 2) in [-1, 1] of commands (n, 2); one beyond the limits counts as the nearest."""
+        """Convert commands (n, 2) to actions (n, 2) in [-1, 1], clipped to the limits."""
         shares = 2.0 * (commands - self._low) / (self._high - self._low) - 1.0
         return np.clip(shares, -1.0, 1.0).astype(np.float32)
 
     def paid(self, outcomes: NDArray[np.int64]) -> Array:
-        """Return what the task pays for outcomes (n,): 0 while an episode runs."""
+        """Return the task's rewards for outcomes (n,); 0 while an episode is running."""
         known = terminal_reward(np.clip(outcomes, 0, _LAST_OUTCOME), self._rewards)
         return np.where(outcomes == 0, 0.0, known)
 
 
 def environment_spec(task: NavigationTask, file: str) -> str:
-    """Return the specification by which Gymnasium makes a task's environment, as JSON.
+    """Return the Gymnasium specification of a task's environment, as JSON.
 
     Args:
-        task: A navigation task.
-        file: Its file, for a task that is not one of the suite's.
+        task: Navigation task.
+        file: File of the task, if it is not one of the suite's.
     """
     spec: dict[str, Any] = {
         "id": f"ctrl_rl/{task.name}-v0",

@@ -23,11 +23,11 @@ _PACES = (1.0, 0.7, 0.4)
 _STEP = 0.04
 """Maximum distance between two checked positions on the arc [m]."""
 _TURN_STEP = 0.1
-"""Maximum turn between two checked positions [rad]: on a narrow arc the robot comes nearer between them, too."""
+"""Maximum turn between two checked positions [rad]; on a tight arc the robot also gets closer in between."""
 _FARTHEST = 4.0
 """Upper bound of the stopping distance [m], regardless of odometry."""
 _NEARER = 1e-3
-"""Distance by which an echo must come nearer to count [m]: a robot beside a wall may go along it."""
+"""Distance by which an echo must get closer to count [m], so that a robot may drive along a wall."""
 _STANDS = 1e-3
 """Speed below which nothing is swept [m/s]: a disc that rotates in place covers no new area."""
 
@@ -59,7 +59,7 @@ class ObstacleStop:
         Args:
             command: Speed [m/s] and turn rate [rad/s] (2,).
             points: Echoes in the robot's frame (n, 2) [m].
-            v: Speed by odometry [m/s].
+            v: Odometry speed [m/s].
             age: Age of the scan [s].
         """
         wanted, omega = command.tolist()
@@ -138,7 +138,7 @@ class DriveSafety:
             frame: Frame of the scan.
             ranges: Ranges (scan.beams,) [m].
             scan: Bearings and limits of the beams in the robot's frame.
-            motion: Speed [m/s] and turn rate [rad/s] by odometry.
+            motion: Odometry speed [m/s] and turn rate [rad/s].
         """
         try:
             self.view = view_scan(ranges, scan, self.reach, self._forward)
@@ -163,7 +163,7 @@ class DriveSafety:
 
         Args:
             command: Speed [m/s] and turn rate [rad/s] (2,).
-            v: Speed by odometry [m/s].
+            v: Odometry speed [m/s].
             age: Age of the last scan [s].
 
         Raises:

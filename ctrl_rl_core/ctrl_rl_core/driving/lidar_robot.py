@@ -96,7 +96,7 @@ class LidarRobot(Commander):
     """Receives scans and odometry of a robot with a lidar; sends only commands that the last scan shows to be safe.
 
     Attributes:
-        motion: Speed [m/s] and turn rate [rad/s] by odometry.
+        motion: Odometry speed [m/s] and turn rate [rad/s].
         safety: Checks and echoes of the last scan.
         scans: Number of scans received.
         on_odometry: Called for each usable odometry message, with the message and its values (13,), see

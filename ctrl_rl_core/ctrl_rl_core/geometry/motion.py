@@ -23,7 +23,7 @@ class Motion:
     """A piecewise cubic curve over time.
 
     Attributes:
-        times: Times at which the pieces begin, then the end of the last (n + 1,), rising from 0 [s].
+        times: Start times of the pieces and the end of the last one (n + 1,), increasing from 0 [s].
         pieces: Coefficients of x and y for each piece (n, 2, 4), lowest power first, over the elapsed fraction of the
             piece.
         repeats: Whether the motion restarts at its end; otherwise it stays there.

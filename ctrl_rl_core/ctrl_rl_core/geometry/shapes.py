@@ -22,7 +22,7 @@ class Box:
     Attributes:
         centre: Position of the centre (2,) [m].
         size: Full side lengths along its own axes (2,) [m].
-        angle: Rotation of its own axes, counter-clockwise [rad].
+        angle: Rotation of the box's axes, counter-clockwise [rad].
     """
 
     centre: tuple[float, float]

@@ -279,7 +279,7 @@ def read_benchmarks(file: Path) -> list[Benchmark]:
     """Return the rows written by `make bench`; empty if it has not run.
 
     Raises:
-        ResultsError: The file holds something else.
+        ResultsError: The file has other content.
     """
     if not file.exists():
         return []

@@ -80,7 +80,7 @@ def _head(experiment: Experiment) -> list[str]:
 
 
 def _notation(experiment: Experiment) -> str:
-    """Describe the number of seeds behind the values, and the spread shown beside a mean."""
+    """Describe the number of seeds behind the values, and the spread shown next to a mean."""
     remark = ""
     if len(experiment.seeds) > 1:
         counts: dict[str, int] = {}

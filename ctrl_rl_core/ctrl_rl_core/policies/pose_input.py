@@ -65,7 +65,7 @@ class PoseInput:
     """Subscribes to the pose source selected by the parameter `pose`.
 
     Attributes:
-        track: Poses by odometry.
+        track: Recent odometry poses.
         refused: Reason for rejecting the last invalid message; empty if there was none.
     """
 

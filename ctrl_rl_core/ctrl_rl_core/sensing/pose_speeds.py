@@ -1,4 +1,4 @@
-"""Velocity from the motion of the pose, for bases whose odometry publishes a twist of zero while they drive."""
+"""Velocity from the motion of the pose, for bases whose odometry has a zero twist while they drive."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _SPAN_NS = 100_000_000
-"""Time over which the pose's motion is measured: single messages come unevenly, and their poses are rounded [ns]."""
+"""Time span over which the pose's motion is measured [ns], since messages are irregular and their poses rounded."""
 _WINDOW_NS = 2_000_000_000
-"""Time within which a pose must have moved before a twist of zero contradicts it [ns]."""
+"""Time within which a pose must move to contradict a zero twist [ns]."""
 _ZERO = 1e-6
-"""Twist that means none [m/s, rad/s]: a TurtleBot3 tells 1e-12."""
+"""Largest twist that counts as zero [m/s, rad/s]; a TurtleBot3 reports 1e-12."""
 _WAY, _TURN = 0.1, 0.4
-"""Way [m] and turn [rad] that no noise of a standing robot makes."""
+"""Displacement [m] and rotation [rad] beyond the noise of a stationary robot."""
 
 
 def speeds_from_poses(times: Times, poses: Array, cuts: NDArray[np.intp]) -> Array:
-    """Return speed ahead, speed to the left and turn rate (n, 3) [m/s, m/s, rad/s] by the motion of poses.
+    """Return forward speed, speed to the left and turn rate (n, 3) [m/s, m/s, rad/s] from the motion of poses.
 
-    Each is that of the last 0.1 s, so that a speed knows nothing of what came later.
+    Each speed is an average over the last 0.1 s, without future poses.
 
     Args:
-        times: Times of the poses (n,) [ns], rising.
+        times: Times of the poses (n,) [ns], increasing.
         poses: Poses x, y, yaw (n, 3) [m, m, rad].
-        cuts: Rows before which the pose jumps: no speed reaches across.
+        cuts: Rows preceded by a jump of the pose, across which no speed is computed.
     """
     before = _rows_before(times, _SPAN_NS, cuts)
     rows = np.arange(len(times))
@@ -42,13 +42,13 @@ def speeds_from_poses(times: Times, poses: Array, cuts: NDArray[np.intp]) -> Arr
 
 
 def lacks_twist(times: Times, poses: Array, twists: Array, cuts: NDArray[np.intp]) -> bool:
-    """Return whether a twist is zero in every message although the pose moves.
+    """Return whether the twist is zero in every message although the pose moves.
 
     Args:
-        times: Times (n,) [ns], rising.
+        times: Times (n,) [ns], increasing.
         poses: Poses x, y, yaw (n, 3) [m, m, rad].
-        twists: Numbers of the twist (n, k).
-        cuts: Rows before which the pose jumps, which is no motion.
+        twists: Components of the twist (n, k).
+        cuts: Rows preceded by a jump of the pose, which does not count as motion.
     """
     if not len(times) or np.any(np.abs(twists) > _ZERO):
         return False
@@ -59,7 +59,7 @@ def lacks_twist(times: Times, poses: Array, twists: Array, cuts: NDArray[np.intp
 
 
 def _rows_before(times: Times, span: int, cuts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return for each time the row that is as long before [ns] or a little longer, but after the last jump."""
+    """Return, for each time, the last row at least this long before [ns], but after the last jump."""
     rows = np.maximum(np.searchsorted(times, times - span, side="right") - 1, 0)
     last_cut = np.zeros(len(times), dtype=np.intp)
     last_cut[cuts] = cuts

@@ -75,7 +75,7 @@ class ScanHealth:
             content: Ranges as received, for comparison with the previous ones.
             stamp: Time stamp of the scan [ns].
             identity: Properties of the lidar that sent the scan.
-            motion: Speed [m/s] and turn rate [rad/s] by odometry.
+            motion: Odometry speed [m/s] and turn rate [rad/s].
         """
         frozen, mixed = self._frozen(content, stamp, motion), self._mixed(now, identity)
         if view.share < self.min_echo_share:

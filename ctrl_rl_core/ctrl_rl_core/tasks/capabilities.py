@@ -1,6 +1,6 @@
-"""What each command needs of a task, in one table: commands ask `require`, and the documentation shows the table.
+"""Requirements of each command on a task, in one table: commands call `require`, and the documentation shows the table.
 
-A command that cannot work on a task refuses it before anything is computed, in one line that says why.
+A command rejects an unsuitable task before any computation, with a one-line reason.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _WITH_OPTIONS = ("tool_delivery", "water_filling", TEAM)
 
 
 class Need(NamedTuple):
-    """Something that a command needs of a task.
+    """A requirement of a command on a task.
 
     Attributes:
-        lacks: Returns what a task lacks, in words that follow "task 'NAME' "; nothing where it has all.
-        part: Part of the task file that would help, where one would.
+        lacks: Describes what a task lacks, as text that follows "task 'NAME' "; empty if nothing.
+        part: Part of the task file that would fix it, if any.
     """
 
     lacks: Callable[[TaskHeader], str]
@@ -30,7 +30,7 @@ class Need(NamedTuple):
 
 
 def _of_navigation(lacks: Callable[[NavigationTask], str], part: str = "") -> Need:
-    """Return a need that only navigation tasks can meet."""
+    """Return a requirement that only navigation tasks can meet."""
 
     def check(task: TaskHeader) -> str:
         if not isinstance(task, NavigationTask):
@@ -135,33 +135,33 @@ COMMANDS: Mapping[str, tuple[Need, ...]] = {
     "ttr_reward_node train": (OPEN,),
     "ttr_reward_node evaluate": (OPEN,),
 }
-"""Needs of each command that is given a task, by `ros2 run`'s words for it."""
+"""Requirements of each command that takes a task, by its `ros2 run` arguments."""
 
 
 def unmet(command: str, task: TaskHeader) -> Need | None:
-    """Return the first need of a command that a task does not meet.
+    """Return the first requirement of a command that a task does not meet, or None.
 
     Raises:
-        KeyError: The table has no such command.
+        KeyError: The command is not in the table.
     """
     return next((need for need in COMMANDS[command] if need.lacks(task)), None)
 
 
 def can(command: str, task: TaskHeader) -> str:
-    """Return why a command cannot work on a task, in one line; nothing where it can.
+    """Return the one-line reason why a command cannot work on a task, or "" if it can.
 
     Raises:
-        KeyError: The table has no such command.
+        KeyError: The command is not in the table.
     """
     need = unmet(command, task)
     return "" if need is None else f"task '{task.name}' {need.lacks(task)}"
 
 
 def require(command: str, task: TaskHeader) -> None:
-    """Check that a command can work on a task.
+    """Raise unless a command can work on a task.
 
     Raises:
-        TaskError: It cannot; the message says why.
+        TaskError: The command cannot work on the task; the message gives the reason.
     """
     if reason := can(command, task):
         raise TaskError(reason)

@@ -1,4 +1,4 @@
-"""The grid of a time to reach for tasks that name none."""
+"""Default time-to-reach grid for tasks without a grid."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from ctrl_rl_core.tasks.schema.optimal_control import GridSpec
 from ctrl_rl_core.tasks.task import NavigationTask
 
 _CELL = 0.1
-"""Distance between nodes [m]."""
+"""Node spacing [m]."""
 _HEADINGS = 72
 
 
 def with_grid(task: NavigationTask) -> NavigationTask:
-    """Return a task with its own grid, or, in an arena or on a map with states x, y, theta, one of 0.1 m and 5 deg."""
+    """Return a task with its own grid, or a default one for arenas and maps with states x, y, theta."""
     if task.grid or task.corridor is not None or task.system.build().state_names != ("x", "y", "theta"):
         return task
     grid = {

@@ -69,7 +69,7 @@ class TaskSets:
         return self._world.signed_distance(points) - self._radius
 
     def in_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether states (..., n) lie in the goal (...), along the path where the task has a corridor."""
+        """Return whether states (..., n) lie in the goal (...), in path coordinates if the task has a corridor."""
         return self._contains(self._goal, np.asarray(states, dtype=float))
 
     def outcomes(self, states: ArrayLike) -> NDArray[np.uint8]:

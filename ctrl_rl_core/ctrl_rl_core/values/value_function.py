@@ -53,13 +53,13 @@ class ValueFunction(Protocol):
         """Grids of the function."""
 
     def value(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Values (...) at states (..., n): NaN outside the domain, +inf where the goal cannot be reached."""
+        """Return the values (...) at states (..., n): NaN outside the domain, +inf where the goal is unreachable."""
 
     def value_and_gradient(self, states: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Values (...) and gradients (..., n) at states (..., n)."""
 
     def value_and_gradient_at(self, state: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Value and gradient (n,) at one state (n,), quickly."""
+        """Return value and gradient (n,) at one state (n,), quickly."""
 
 
 def batches(count: int) -> Iterator[slice]:

@@ -111,7 +111,7 @@ class ValueGrid:
             states: Shape (n,) or (..., n), in the order and units of the axes.
 
         Returns:
-            Shape (...), NaN outside the domain, +inf where the goal cannot be reached [unit of the values].
+            Shape (...), NaN outside the domain, +inf where the goal is unreachable [unit of the values].
 
         Raises:
             GridError: The last dimension of `states` is not n.

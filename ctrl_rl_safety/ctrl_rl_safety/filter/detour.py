@@ -1,4 +1,4 @@
-"""Chooses a turn rate that leads the robot around obstacles on the way of the requested command.
+"""Chooses a turn rate that leads the robot around obstacles in the path of the requested command.
 
 The nearest certified command alone is short-sighted: the robot slows down and stops in front of a person whom it could
 pass. The detour only changes the preferred command; certificates still decide which command is sent.
@@ -19,7 +19,7 @@ _WIDEST = math.radians(75.0)
 """Maximum rotation from the heading of the last passed command [rad]: a blocked way is no reason to drive somewhere
 else."""
 _AHEAD = 1.5
-"""Time for which the way along a heading must be free [s]."""
+"""Time for which the path along a heading must be free [s]."""
 _PLACES = 8
 _LOOK = 0.5
 """Time for which the requested turn rate is interpreted as a desired heading [s]."""
@@ -35,7 +35,7 @@ _TURN_COST = 0.015
 
 @njit
 def _room(sit: Any, state: tuple[float, float, float, float, float], t: float, heading: float, way: float) -> float:
-    """Return the mean margin of a straight path, capped at zero [m]; -FAR if the path comes too close.
+    """Return the mean margin of a straight path, capped at zero [m]; -FAR if the path gets too close.
 
     Moving echoes are ignored, because the robot waits for them to pass.
     """

@@ -27,7 +27,7 @@ class MapWalls:
         self._near = _around(map_.cells == OCCUPIED, math.ceil(NEAR / map_.resolution))
 
     def fixed(self, there: Array, pose: Array) -> Fixed:
-        """Return a function that tells which positions in the odometry frame are occupied on the map.
+        """Return a function that returns which positions in the odometry frame are occupied on the map.
 
         Args:
             there: Pose of the robot on the map (3,) [m, m, rad].

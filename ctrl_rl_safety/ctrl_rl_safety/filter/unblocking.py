@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 _HEADINGS = np.radians(np.arange(-180.0, 180.0, 5.0))
 _BESIDE = 2
-"""Headings on either side that count as much: along a wall that it touches a robot would be held again by noise."""
+"""Number of headings to either side that count equally; at a touching wall, noise would block the robot again."""
 _FARTHEST = 1.0
 """Clearance beyond which more does not matter [m]."""
 _TURN_COST = 0.15

@@ -43,7 +43,7 @@ class MapInput:
         self._pose.on_odometry(message, base)
 
     def fixed(self, pose: Array) -> Fixed | None:
-        """Return a function that tells which positions (n, 2) in the odometry frame [m] are occupied on the map (n,).
+        """Return a function that returns which positions (n, 2) in the odometry frame [m] are on the map (n,).
 
         Args:
             pose: Odometry pose (3,) [m, m, rad].

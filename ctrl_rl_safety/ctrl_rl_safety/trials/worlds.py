@@ -15,7 +15,7 @@ MOVER_SPEED = 0.4
 """Maximum speed of movers, known to the filter [m/s]."""
 _HALVES = {"boxes": (2.5, 2.0), "movers": (3.0, 2.5)}
 _STARTS = {"boxes": 0.0, "movers": 0.6}
-"""Half the side length of the square of the robot's starts, since a mover may start in the middle [m]."""
+"""Half the side length of the square of the robot's starts, since a mover may start at the centre [m]."""
 _BOXES = {"boxes": 9, "movers": 6}
 _MOVERS = {"boxes": 0, "movers": 2}
 _LIDAR = {"beams": 360, "field": "0.0 .. 360.0 deg", "range": "0.1 .. 8.0 m", "rate": "5.0 Hz", "noise": "0.01 m"}

@@ -18,7 +18,7 @@ _LOG_RANGE = 14.0
 _RESTRAINT = 1e-7
 """Regularisation weight of the squared logarithms, relative to the law's power; decides where data do not."""
 _REFUSED = 1e6
-"""Loss returned if no regulator exists, which makes the search turn back."""
+"""Loss returned if no regulator exists, which turns the search back."""
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> 
     noise; if it would change the coefficients by more than noise can, as with simulated data, it is omitted.
 
     Args:
-        data: Snapshots, at least n + m + 2 unless observables repeat each other.
+        data: Snapshots, at least n + m + 2 unless observables are linearly dependent.
         regularisation: Ridge relative to each regressor's variance; 0 is exactly Eq. 2.34.
         lifted: Whether z are lifting functions, which may be constant or redundant and leave a deterministic residual:
             A is then the minimum-norm solution, and the ridge is always applied.

@@ -252,7 +252,7 @@ class _Tool:
     def beside_trouble(self, variables: Array, start: Array) -> tuple[Array, str]:
         """Return variables moved away from undefined derivatives; if all attempts fail, name the derivative.
 
-        A solver that begins there cannot take a step, and fatrop never ends.
+        A solver that starts there cannot take a step, and fatrop does not terminate.
         """
         trouble = self.derivatives.trouble(variables, start)
         if not trouble:

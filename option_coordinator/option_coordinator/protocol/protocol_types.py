@@ -114,7 +114,7 @@ class AgentState(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """An OptionRequest: a robot asks for its next option."""
+    """An OptionRequest: a robot requests its next option."""
 
     stamp: float
     agent: Name

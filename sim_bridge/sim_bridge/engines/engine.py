@@ -1,6 +1,6 @@
 """Common interface of the physics engines, in terms of a task.
 
-A world in the x-y plane stands on a floor; one in the x-z plane floats in space (its floor is a wall of the task).
+A world in the x-y plane has a floor; one in the x-z plane floats in space (its floor is a wall of the task).
 Robots are numbered from 0 in the order in which they are added.
 """
 

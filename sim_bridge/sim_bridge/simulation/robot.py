@@ -102,7 +102,7 @@ class SimulatedRobot:
 
 
 def begin_episode(world: SimulatedWorld, seed: int) -> None:
-    """Begin the episode of a seed in a world, unless it stands at the start of that one."""
+    """Start the episode of a seed in a world, unless the world is already at its start."""
     if world.seed != seed or world.steps:
         world.reset(seed)
 

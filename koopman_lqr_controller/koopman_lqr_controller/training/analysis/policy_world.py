@@ -29,7 +29,7 @@ class EpisodeTrajectory:
     Attributes:
         x: Observations (T + 1, *shape).
         u: The model's controls (T, m).
-        rewards: (T,); none where nobody pays.
+        rewards: (T,); empty without a reward.
         info: The environment's last word.
     """
 

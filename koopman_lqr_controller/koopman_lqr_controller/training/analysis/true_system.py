@@ -119,7 +119,7 @@ def suite_system(environment: ControlSuite, goal: Array, policy: LatentPolicy) -
 
 
 def corridor_system(policy: KoopmanPolicy, width: float, dt: float, speed: float) -> TrueSystem:
-    """Linearise a unicycle with a lidar in the middle of a straight corridor.
+    """Linearise a unicycle with a lidar at the centre of a straight corridor.
 
     Args:
         policy: Policy in the loop.

@@ -87,11 +87,11 @@ class BenchmarkTask:
 
 
 def find_task(name: str) -> BenchmarkTask:
-    """Return a problem by name, or that of driving through the corridor of a task or its .yaml file.
+    """Return a problem by name, or the corridor problem of a task or its .yaml file.
 
     Raises:
-        KoopmanError: there is none of that name.
-        TaskError: the file is no task, or its task has no corridor.
+        KoopmanError: The problem does not exist.
+        TaskError: The file is not a task, or the task has no corridor.
     """
     if name in BENCHMARK_TASKS:
         return BENCHMARK_TASKS[name]

@@ -1,4 +1,4 @@
-"""Result tables of a task's or a comparison's runs beside the thesis's values, and curves to draw."""
+"""Result tables of a task's or a comparison's runs with the thesis's values, and curves to draw."""
 
 from __future__ import annotations
 

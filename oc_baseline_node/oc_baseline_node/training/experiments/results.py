@@ -1,4 +1,4 @@
-"""The results table of a task's runs beside the thesis's values, and the data of the figures.
+"""The results table of a task's runs with the thesis's values, and the data of the figures.
 
 rows, figures = collect(oc_runs(load_navigation_task("car_navigation")), Path("runs/oc_training"))
 """

@@ -1,7 +1,7 @@
-"""Whether a team's robots find their ways: tried by the planner that they steer by, one robot alone at a time.
+"""Checks that a team's robots can reach their goals, by simulating the planner for one robot at a time.
 
-The planner heads straight for its goal and goes round what is small. It knows no map, so that a wall between two
-stations holds a robot for ever.
+The planner heads straight for its goal and drives around small obstacles. It has no map, so a wall between two stations
+blocks a robot permanently.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ Place = tuple[float, float]
 
 
 def check_ways(team: TeamFile, room: NavigationTask) -> None:
-    """Check that a robot gets from each place of its work to the next within the option's longest duration.
+    """Raise unless a robot gets from each place of its work to the next within the option's maximum duration.
 
     Raises:
-        OptionError: It does not; the message names both places.
+        OptionError: A robot does not arrive in time; the message names both places.
     """
     world, planner = room.build_world(), ReactivePlanner()
     walls = np.concatenate([outline(shape) for shape in (*world.walls, *world.obstacles)])
@@ -39,7 +39,7 @@ def check_ways(team: TeamFile, room: NavigationTask) -> None:
 
 
 def _ways(team: TeamFile) -> Iterator[tuple[tuple[str, Place], tuple[str, Place], float]]:
-    """Yield start and goal with their names, and the time for it [s]: fetch to deliver, and on to fetch or home."""
+    """Yield start and goal with their names, and the time limit [s]: fetch to deliver, and on to fetch or home."""
 
     def of(work: Work) -> list[tuple[tuple[str, Place], float]]:
         each = ((name, option) for name, option in team.options.items() if option.work is work)
@@ -55,7 +55,7 @@ def _ways(team: TeamFile) -> Iterator[tuple[tuple[str, Place], tuple[str, Place]
 def _arrives(
     planner: ReactivePlanner, walls: NDArray[np.float64], here: Place, there: Place, longest: float, step: float
 ) -> bool:
-    """Return whether a robot that moves exactly as commanded arrives in time; it begins with its goal ahead."""
+    """Return whether a robot that moves exactly as commanded, starting towards its goal, arrives in time."""
     pose = np.array((*here, math.atan2(there[1] - here[1], there[0] - here[0])))
     for _ in range(math.ceil(longest / step)):
         if planner.there(pose, there):

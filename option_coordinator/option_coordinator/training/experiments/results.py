@@ -1,4 +1,4 @@
-"""The results table of a task's runs beside the thesis's values, and curves to draw.
+"""The results table of a task's runs with the thesis's values, and curves to draw.
 
 rows, figures = collect(option_runs("tool_delivery", ["async"], 10), Path("runs/options"))
 """
