@@ -9,7 +9,8 @@ from pathlib import Path
 from ctrl_rl_core.command import OptionalFileToWrite, Positive, make_command
 
 from ctrl_rl_core import Actor, Result, load_navigation_task, task_digest, write_results
-from ctrl_rl_learning.cli.offline_steps import TaskOptions, judge, read_bags
+from ctrl_rl_learning.cli.differences import refusing
+from ctrl_rl_learning.cli.offline_steps import Reading, TaskOptions, judge, read_bags
 from ctrl_rl_learning.cli.verdict_lines import estimate_lines, estimates_of, verdict_lines
 from ctrl_rl_learning.errors import LearningError
 
@@ -18,7 +19,8 @@ from ctrl_rl_learning.errors import LearningError
 class EvaluateOptions(TaskOptions):
     """Predict from bags what a policy would earn, with 95 % intervals: better, not shown or worse, and what to record.
 
-    Exits with 1 where the bags do not show that the policy is better than their driver.
+    Exits with 1 where the bags do not show that the policy is better than their driver, and with 2 where they show
+    other walls than the task's file.
     """
 
     policy: Path
@@ -34,14 +36,17 @@ class EvaluateOptions(TaskOptions):
 def _evaluate(options: EvaluateOptions) -> int:
     task = load_navigation_task(options.task)
     actor = Actor.load(options.policy)
-    if actor.manifest.get("task") != task.name:
+    if actor.manifest.get("task") not in (task.name, f"{task.name}_map" if options.map_from_bag else task.name):
         raise LearningError(f"{options.policy}: has learnt the task '{actor.manifest.get('task')}', not '{task.name}'")
+    from ctrl_rl_learning.offline.data.values import load_values
+    from ctrl_rl_learning.offline.evaluation.roll_outs import can_model
+
+    picture = (options.results or options.policy).with_suffix(".differences.png")
+    reading = Reading(picture, None, options.value is not None or can_model(task))
+    task, transitions = read_bags("evaluate_offline", task, options, reading)
     if actor.manifest.get("task_digest") != task_digest(task):
         print(f"evaluate_offline: {options.policy}: has learnt another version of the task", file=sys.stderr)
-    from ctrl_rl_learning.offline.data.values import load_values
-
     values = None if options.value is None else load_values(options.value, task, options.values)
-    transitions = read_bags("evaluate_offline", task, options)
     report = judge(transitions, task, actor, values, updates=options.updates, fits=options.fits, seed=options.seed)
     print("\n".join(estimate_lines(report)))
     if options.results is not None:
@@ -59,4 +64,4 @@ def _evaluate(options: EvaluateOptions) -> int:
     return 0 if report.better else 1
 
 
-evaluate_offline = make_command("evaluate_offline", EvaluateOptions, _evaluate)
+evaluate_offline = make_command("evaluate_offline", EvaluateOptions, refusing("evaluate_offline", _evaluate))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +14,8 @@ from ctrl_rl_core.io import raise_as, read_json, with_digest
 from ctrl_rl_core.tasks import require
 
 from ctrl_rl_core import Actor, NavigationTask, atomic_write, load_navigation_task, task_digest, task_names
-from ctrl_rl_learning.cli.offline_steps import TeachOptions, judge, read_bags, teach
+from ctrl_rl_learning.cli.differences import refusing
+from ctrl_rl_learning.cli.offline_steps import Reading, TeachOptions, judge, read_bags, teach
 from ctrl_rl_learning.cli.verdict_lines import estimate_lines, verdict_lines
 from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.learners.settings import METHODS
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ctrl_rl_learning.offline.data.transitions import Transitions
 
 POLICY, REPORT, PAGE = "policy.safetensors", "report.json", "report.txt"
+DIFFERENCES = "differences.png"
 
 
 def _share(text: str) -> float:
@@ -62,7 +64,8 @@ def _improve(options: ImproveOptions) -> int:
     from ctrl_rl_learning.offline.data.held_out import hold_out
 
     print(f"task       {task.name}: {task.about}")
-    transitions = read_bags("improve", task, options)
+    reading = Reading(options.output / DIFFERENCES, options.output, believes_walls=True, overwrite=options.overwrite)
+    task, transitions = read_bags("improve", task, replace(options, task=options.task or task.name), reading)
     to_learn, to_judge = hold_out(transitions, options.held_out, options.seed)
     print(f"parts      {to_learn.episode_count} episodes to learn from, {to_judge.episode_count} others to judge by")
     terms = _terms(options, task, to_learn)
@@ -157,4 +160,4 @@ def _kept_report(file: Path, terms: Mapping[str, Any]) -> dict[str, Any] | None:
     return content if content.get("terms") == json.loads(json.dumps(dict(terms))) else None
 
 
-improve = make_command("improve", ImproveOptions, _improve)
+improve = make_command("improve", ImproveOptions, refusing("improve", _improve))

@@ -13,9 +13,10 @@ from ctrl_rl_core.command import (
 from ctrl_rl_core.tasks import require
 
 from ctrl_rl_core import load_navigation_task
-from ctrl_rl_learning.cli.offline_steps import TeachOptions, read_bags, teach
+from ctrl_rl_learning.cli.differences import refusing
+from ctrl_rl_learning.cli.offline_steps import Reading, TeachOptions, read_bags, teach
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.learners.settings import METHODS
+from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_REWARD
 from ctrl_rl_learning.study.curves import Curves
 
 
@@ -43,16 +44,26 @@ def _learn(options: LearnOptions) -> int:
         raise LearningError(f"{options.output} exists: give another name, or --overwrite to replace it")
     task = load_navigation_task(options.task)
     require(f"ctrl_rl_learning learn_offline --method {options.method}", task)
-    transitions = read_bags("learn_offline", task, options)
+    reading = Reading(
+        options.output.with_suffix(".differences.png"), options.output.parent, options.method != "bc", options.overwrite
+    )
+    task, transitions = read_bags("learn_offline", task, options, reading)
+    if options.map_from_bag and options.method in NEEDS_REWARD:
+        raise LearningError(
+            f"the bags' rewards are those of the file's walls: relabel the bags for the map's task {task.name}, and "
+            f"learn by --task {options.output.parent / task.name}.yaml --other-task"
+        )
     with ExitStack() as opened:
         curves = None if options.curves is None else opened.enter_context(Curves(options.curves))
         actor = teach(transitions, task, options, curves=curves)
     actor.save(options.output)
     print(f"policy     {options.output}: {task.name}, {METHODS[options.method]}")
+    mapped = f"{options.output.parent / task.name}.yaml --other-task"
     print(
-        f"judge it   ros2 run ctrl_rl_learning evaluate_offline RUN ... --task {options.task} --policy {options.output}"
+        "judge it   ros2 run ctrl_rl_learning evaluate_offline RUN ... --task "
+        f"{mapped if options.map_from_bag else options.task} --policy {options.output}"
     )
     return 0
 
 
-learn_offline = make_command("learn_offline", LearnOptions, _learn)
+learn_offline = make_command("learn_offline", LearnOptions, refusing("learn_offline", _learn))

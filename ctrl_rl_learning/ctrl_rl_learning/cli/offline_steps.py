@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 from ctrl_rl_bags.datasets import Found, TaskDriveOptions, print_note
@@ -41,6 +41,8 @@ class TaskOptions(TaskDriveOptions):
     """Folder of times to reach."""
     seed: NotNegative = 0
     """Seed of weights, batches and resampling."""
+    map_from_bag: bool = False
+    """Take the walls from the scans of the bags, not from the task's file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,29 +59,59 @@ class TeachOptions(TaskOptions):
     """Units of each of the two hidden layers."""
 
 
-def read_bags(command: str, task: NavigationTask, options: TaskOptions) -> Transitions:
-    """Return the transitions of the bags; print what they hold, and on stderr what was left out or cut.
+class Reading(NamedTuple):
+    """What a command does with the walls of its task.
+
+    Attributes:
+        picture: File of a picture of where bags contradict the task.
+        maps: Folder of a map from the bags; None to keep none.
+        believes_walls: Whether it goes by the task's walls, as value functions and roll-outs do.
+        overwrite: Whether it replaces a map of other walls.
+    """
+
+    picture: Path
+    maps: Path | None
+    believes_walls: bool
+    overwrite: bool = False
+
+
+def read_bags(
+    command: str, task: NavigationTask, options: TaskOptions, reading: Reading
+) -> tuple[NavigationTask, Transitions]:
+    """Return the task and the transitions of its bags; the task is one with the bags' own walls on `--map-from-bag`.
+
+    What the bags hold is printed, and on stderr what was left out or cut, and where they contradict the task.
 
     Args:
         command: Name of the command, for stderr.
         task: Task that was driven.
         options: Bags, topics and clock.
+        reading: What the command does with the walls.
 
     Raises:
-        BagError, LearningError: They cannot be read, or hold nothing.
+        BagError, LearningError: They cannot be read, hold nothing, or show other walls than those of the task.
     """
+    from ctrl_rl_learning.cli.differences import check_differences, take_map
     from ctrl_rl_learning.offline.data.contents import describe
     from ctrl_rl_learning.offline.data.transitions import load_transitions
     from ctrl_rl_learning.offline.evaluation.verdict import what_few_show
+    from ctrl_rl_learning.offline.witness import Witness
 
-    found = Found()
-    transitions = load_transitions(options.runs, task, options, tell=partial(print_note, command), found=found)
+    found, witness, note = Found(), Witness(task), partial(print_note, command)
+    transitions = load_transitions(options.runs, task, options, tell=note, found=found, witness=witness)
     for line in describe(transitions, task, found):
         print(line)
     few = what_few_show(transitions.episode_count)
     if few:
         print(f"{command}: {few}", file=sys.stderr)
-    return transitions
+    record = witness.record()
+    if not options.map_from_bag:
+        check_differences(command, record, task, reading.picture, believes_walls=reading.believes_walls)
+        return task, transitions
+    source, about = options.task, ", ".join(run.name for run in options.runs)
+    task = take_map(command, record, source, about, reading.maps, overwrite=reading.overwrite)
+    again = replace(options, other_task=True)  # which the first reading has looked at
+    return task, load_transitions(options.runs, task, again, tell=lambda _: None)
 
 
 def teach(

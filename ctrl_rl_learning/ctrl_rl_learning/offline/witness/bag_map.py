@@ -16,7 +16,6 @@ from ctrl_rl_core.io import read_yaml
 from ctrl_rl_core.navigation import FREE, OCCUPIED
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_dilation, label
-from sim_bridge.simulation import draw_map
 
 from ctrl_rl_core import NavigationTask, OccupancyMap, atomic_write, task_file
 from ctrl_rl_learning.errors import LearningError
@@ -24,6 +23,10 @@ from ctrl_rl_learning.offline.witness.beams import compare
 from ctrl_rl_learning.offline.witness.cells import Cells
 from ctrl_rl_learning.offline.witness.record import DriveRecord
 
+_CELL, _MARGIN = 0.025, 0.3
+"""Side length of a cell, larger in very large places, and width of the rim around the file's area [m]."""
+_GAP = 0.1
+"""Width of gaps in a new wall that are closed [m]: beams are few far away."""
 _HIT, _PASS = 0.85, -0.4
 """Log-odds of a wall for a beam that ends in a cell, and for one that passes through it."""
 _REFUTED, _FEWEST_SEEN = 0.3, 10
@@ -49,23 +52,25 @@ class MapFromBag:
 
 def map_from_record(record: DriveRecord, task: NavigationTask) -> MapFromBag:
     """Return the map of what drives of a task saw, over the area of its file."""
-    file = draw_map(task, task.build_world())
-    grid = Cells(np.array(file.origin[:2]), file.resolution, (file.cells.shape[0], file.cells.shape[1]))
+    sides = task.plane_bounds.values()
+    grid = Cells.around(np.array([side.low for side in sides]), np.array([side.high for side in sides]), _MARGIN, _CELL)
     beams = compare(record.sightings, task)
     echoes = beams.rows(beams.echoes)
     # What ended off the grid would count for the cells at its edge.
-    inside = ((echoes.ends > grid.corner) & (echoes.ends < grid.corner + np.array(file.size))).all(axis=1)
+    inside = ((echoes.ends > grid.corner) & (echoes.ends < grid.far_corner)).all(axis=1)
     hits, passes = grid.count(echoes.ends[inside]), grid.passes(beams)
     odds = _HIT * hits + _PASS * passes
     seen = (hits + passes) > 0
-    walls = file.cells == OCCUPIED
+    middles = grid.places(np.arange(seen.size)).reshape(*grid.shape, 2)
+    walls = task.build_world().signed_distance(middles) < 0.5 * grid.resolution
     occupied = seen & (odds > 0.0)
     free = seen & ~occupied
     occupied |= ~seen & walls & ~_refuted(walls, free, seen)
-    occupied |= _behind_new_walls(occupied, free, walls)
+    occupied |= _behind_new_walls(occupied, free, walls, max(1, round(0.5 * _GAP / grid.resolution)))
     cells = np.where(occupied, OCCUPIED, FREE).astype(np.int8)
     changed = int((occupied != walls).sum())
-    return MapFromBag(OccupancyMap(cells, file.resolution, file.origin), float(seen.mean()), changed)
+    x, y = grid.corner.tolist()
+    return MapFromBag(OccupancyMap(cells, grid.resolution, (x, y, 0.0)), float(seen.mean()), changed)
 
 
 def _refuted(walls: NDArray[np.bool_], free: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -79,14 +84,21 @@ def _refuted(walls: NDArray[np.bool_], free: NDArray[np.bool_], seen: NDArray[np
 
 
 def _behind_new_walls(
-    occupied: NDArray[np.bool_], free: NDArray[np.bool_], walls: NDArray[np.bool_]
+    occupied: NDArray[np.bool_], free: NDArray[np.bool_], walls: NDArray[np.bool_], gap: int
 ) -> NDArray[np.bool_]:
-    """Return cells that nobody saw and that lie behind a wall which the file does not have; its gaps are closed."""
-    new = occupied & ~binary_dilation(walls, iterations=2)
-    closed = binary_closing(new, _EIGHT, iterations=2) & ~free
+    """Return cells that nobody saw and that lie behind a wall which the file does not have; its gaps are closed.
+
+    Args:
+        occupied: Walls so far (rows, columns).
+        free: Cells that beams passed through.
+        walls: Walls of the file.
+        gap: Half the width of the gaps that are closed [cells].
+    """
+    new = occupied & ~binary_dilation(walls, iterations=gap)
+    closed = binary_closing(new, _EIGHT, iterations=gap) & ~free
     hidden = ~occupied & ~closed & ~free & ~binary_dilation(free, _EIGHT)
     names, _ = label(hidden)
-    touched = np.unique(names[binary_dilation(new | closed, _EIGHT, iterations=2) & hidden])
+    touched = np.unique(names[binary_dilation(new | closed, _EIGHT, iterations=gap) & hidden])
     return np.asarray(closed | np.isin(names, touched[touched > 0]))
 
 

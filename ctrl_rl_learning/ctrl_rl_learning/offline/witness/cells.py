@@ -14,7 +14,7 @@ from ctrl_rl_learning.offline.witness.beams import Beams
 Array = NDArray[np.float64]
 RESOLUTION = 0.05
 """Side length of a cell [m]."""
-_MOST_CELLS = 4_000_000
+_MOST_CELLS = 2_000_000
 
 
 @cached_njit
@@ -48,12 +48,17 @@ class Cells:
     shape: tuple[int, int]
 
     @classmethod
-    def around(cls, low: Array, high: Array, margin: float = 0.5) -> Cells:
+    def around(cls, low: Array, high: Array, margin: float = 0.5, cell: float = RESOLUTION) -> Cells:
         """Return a grid over the rectangle from `low` to `high` (2,) [m]; its cells are larger in a very large one."""
         corner, size = low - margin, high - low + 2.0 * margin
-        resolution = max(RESOLUTION, float(np.sqrt(size.prod() / _MOST_CELLS)))
+        resolution = max(cell, float(np.sqrt(size.prod() / _MOST_CELLS)))
         columns, rows = np.ceil(size / resolution).astype(int).tolist()
         return cls(corner, resolution, (max(1, rows), max(1, columns)))
+
+    @property
+    def far_corner(self) -> Array:
+        """Its upper right corner (2,) [m]."""
+        return self.corner + self.resolution * np.array(self.shape[::-1])
 
     def index(self, points: Array) -> NDArray[np.intp]:
         """Return the flat index (n,) of the cells of points (n, 2) [m]; those outside count for the nearest cell."""
