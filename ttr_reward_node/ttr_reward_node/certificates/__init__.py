@@ -1,4 +1,4 @@
-"""Certificates of times to reach: drives and paths back that a solution has to agree with."""
+"""Certificates of time-to-reach functions: simulated drives and backward paths that a solution must agree with."""
 
 import lazy_loader as lazy
 

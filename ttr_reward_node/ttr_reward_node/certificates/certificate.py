@@ -1,11 +1,11 @@
-"""The certificate of a time to reach: what drives and paths back say of it, and what is doubtful.
+"""Certificate of a time-to-reach function: results of drives and backward paths, and warnings.
 
     certificate = certify(solution, problem)
-    certificate.doubts        # one line each: where, and what to change; () where nothing is doubtful
+    certificate.doubts        # one line each: where, and what to change; () if nothing is doubtful
 
-Drives start at random states and follow the values (`drives`): if values are too small, they do not arrive in time.
-Paths back come from the target (`paths_back`): if values are too large, they arrive too soon, or where nothing should.
-Both cost as much as some hundred steps of some hundred states, whatever the grid.
+Drives start at random states and follow the values (`drives`): if values are too small, drives do not arrive in time.
+Backward paths start from the target (`paths_back`): if values are too large, these paths arrive too soon, or from
+states marked unreachable. Both cost about as much as a few hundred steps of a few hundred states, whatever the grid.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 Array = NDArray[np.float64]
 _NOTE = "certificate"
 _STARTS = 128
-_DRAWS = 32  # random states for each start that is wanted
-# Measured on the suite's tasks and the models of thesis Table 3.1 (docs/explanation/time_to_reach.md): right solutions
-# have medians of 0.98 to 1.03, and nine of ten drives arrive: seven of ten where a fast state hardly has room to move.
-_ARRIVED = 0.65  # of the drives that tell
-_FEWEST = 16  # drives that tell; fewer say nothing
-_SLOWER, _SOONER = 1.1, 0.9  # median of the time over the promised one
-_STEPS = 3.0  # by which the median differs at least: near the target a step is a large part of the way
+_DRAWS = 32  # random states drawn per start state
+# Measured on the suite's tasks and the models of thesis Table 3.1 (docs/explanation/time_to_reach.md): the medians of
+# correct solutions are 0.98 to 1.03, and 90 % of the drives arrive; 70 % if a fast state has little room to move.
+_ARRIVED = 0.65  # minimum fraction of conclusive drives that arrive
+_FEWEST = 16  # minimum number of conclusive drives
+_SLOWER, _SOONER = 1.1, 0.9  # bounds on the median of executed / predicted time
+_STEPS = 3.0  # minimum difference of the median [steps]: near the target one step is a large part of the path
 _OTHER = {
     "semi_lagrangian": ", or try lax_friedrichs",
     "lax_friedrichs": ", or with semi_lagrangian, which is more exact",
@@ -43,24 +43,26 @@ _OTHER = {
 
 
 class Solved(Protocol):
-    """What has been solved: anything with a value grid."""
+    """Result of a solver: any object with a value grid."""
 
     @property
     def grid(self) -> ValueGrid:
-        """Time to reach."""
+        """Time-to-reach function."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was tried on a solution, and what came out.
+    """Results of the checks on a solution.
 
     Attributes:
-        drives: Number of drives by the greedy policy that ended, or went far enough to tell how they go on.
-        arrived: Fraction of them that arrived, or come nearer; None without any.
-        ratio_median, ratio_p95: Quantiles of their time over the promised one; None where none arrives.
-        paths: Number of paths back, from the target and from states that reach it.
-        contradictions: Number of those that arrive although the solution says they cannot, or much sooner.
-        doubts: One line each that says what is doubtful, where, and what to change.
+        drives: Number of conclusive drives by the greedy policy: those that ended or made enough progress to
+            extrapolate.
+        arrived: Fraction of these that arrived or approach the target; None if there are none.
+        ratio_median, ratio_p95: Quantiles of executed / predicted time; None if no drive arrives.
+        paths: Number of backward paths, from the target and from states that reach it.
+        contradictions: Number of backward paths from states that the solution marks unreachable or predicts to take
+            much longer.
+        doubts: One line per doubt: what is doubtful, where, and what to change.
     """
 
     drives: int
@@ -73,7 +75,7 @@ class Certificate:
 
     @property
     def line(self) -> str:
-        """Figures as one line of text."""
+        """Summary in one line of text."""
         if self.drives and self.arrived is not None:
             driven = f"{100 * self.arrived:.0f} % of {self.drives} drives arrive"
             if self.ratio_median is not None:
@@ -83,15 +85,15 @@ class Certificate:
         return f"{driven}; {self.contradictions} of {self.paths} paths back contradict"
 
     def as_notes(self) -> dict[str, str]:
-        """Return the certificate as a note of a value file."""
+        """Return the certificate as a note for a value file."""
         return {_NOTE: json.dumps(asdict(self), allow_nan=False)}
 
     @classmethod
     def from_notes(cls, notes: Mapping[str, str]) -> Certificate | None:
-        """Return the certificate of a value file's notes; None where they have none.
+        """Read the certificate from the notes of a value file; None if there is none.
 
         Raises:
-            TimeToReachError: The note is no certificate.
+            TimeToReachError: The note is not a valid certificate.
         """
         if _NOTE not in notes:
             return None
@@ -109,15 +111,16 @@ class Certificate:
 
 
 def certify(solved: ValueGrid | Solved, problem: TimeToReachProblem, *, seed: int = 0) -> Certificate:
-    """Try a time to reach, and say what is doubtful.
+    """Check a time-to-reach function by simulation and report what is doubtful.
 
     Args:
-        solved: Solution of the problem, or its value grid. Of a decomposed value each part has its own problem.
+        solved: Solution of the problem, or its value grid. Certify each part of a decomposed value with its own
+            problem.
         problem: Problem that was solved.
-        seed: Seed of random states and controls.
+        seed: Seed for random states and controls.
 
     Raises:
-        TimeToReachError: The grid has other axes than the problem.
+        TimeToReachError: The axes of the grid and the problem differ.
     """
     value = solved if isinstance(solved, ValueGrid) else solved.grid
     if tuple(axis.name for axis in value.axes) != problem.system.state_names:
@@ -145,7 +148,7 @@ def certify(solved: ValueGrid | Solved, problem: TimeToReachProblem, *, seed: in
 
 
 def _starts(value: ValueGrid, problem: TimeToReachProblem, random: np.random.Generator) -> Array:
-    """Draw states (N, n) outside the target that reach it: random ones, or nodes where hardly any does."""
+    """Draw states (N, n) outside the target that reach it; random nodes if too few random states do."""
     ends = np.array([[axis.lower for axis in problem.axes], [axis.upper for axis in problem.axes]])
     lower, upper = np.clip(ends, *problem.limits)
     drawn = random.uniform(lower, upper, (_STARTS * _DRAWS, len(lower)))
@@ -194,7 +197,7 @@ def _doubt_of_drives(drives: Drives, problem: TimeToReachProblem) -> str:
 
 
 def _finer(problem: TimeToReachProblem) -> str:
-    """Return which axis to make finer: the one with the fewest cells, or along which the target has the fewest."""
+    """Return advice on which axis to refine: the one with the fewest cells overall or across the target."""
 
     def cells(k: int) -> float:
         axis = problem.axes[k]

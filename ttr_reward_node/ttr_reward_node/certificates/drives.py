@@ -1,8 +1,8 @@
-"""Drives by a time to reach: the greedy policy should arrive, in about the time that was promised.
+"""Drives by a time-to-reach function: the greedy policy should arrive in about the predicted time.
 
-They show where values are too small: a state from which nothing leads to the target does not arrive. A drive takes
-steps of a cell, so it costs as many steps as it crosses cells, at whatever speed. Where the disturbance has room it is
-the one that looks worst a step ahead.
+They reveal values that are too small: from a state that cannot reach the target, the drive does not arrive. Each step
+is about a cell long, so the cost depends on the number of cells crossed, not on the speed. If the disturbance has
+bounds to choose within, it takes the worst value one step ahead.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-_PATIENCE = 1.5  # times what was promised, beyond the time of so many steps:
+_PATIENCE = 1.5  # a drive may take this multiple of the predicted time, plus the duration of _SPARE mean steps
 _SPARE = 20.0
-_TOLD = 0.1  # of the promised time, after which a drive tells how it goes on
-_HOPELESS = 5.0  # times as long as promised: no drive that arrives
+_TOLD = 0.1  # fraction of the predicted time after which a drive is conclusive
+_HOPELESS = 5.0  # multiple of the predicted time from which a drive counts as failed
 _MOST_STEPS = 400
-_MOST_LOOKS = 600_000  # at what a control leads to
+_MOST_LOOKS = 600_000  # evaluations of one control and disturbance
 
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """Outcome of the drives from some states.
+    """Outcome of drives from N states.
 
     Attributes:
-        states: Where they began (N, n).
-        promised: Value there (N,) [s].
-        taken: Time that the way to the target took (N,) [s]; inf of those that failed. Of those that were still under
-            way after the most steps, what it will take if they go on as so far.
-        step: Mean duration of a step, about a cell (N,) [s].
-        ended: Whether each arrived or failed (N,).
-        told: Whether each has ended, or gone far enough to tell how it goes on (N,).
+        states: Start states (N, n).
+        promised: Values at the start states (N,) [s].
+        taken: Executed time to the target (N,) [s]; inf for failed drives. For drives still running after the last
+            step, the time extrapolated from their progress.
+        step: Mean duration of a step of about one cell (N,) [s].
+        ended: Whether each drive arrived or failed (N,).
+        told: Whether each drive is conclusive: it has ended, or run long enough to extrapolate (N,).
     """
 
     states: Array
@@ -50,7 +50,7 @@ class Drives:
 
     @property
     def arrives(self) -> Flags:
-        """Whether each has reached the target, or comes nearer to it (N,)."""
+        """Whether each drive has reached the target or approaches it (N,)."""
         return np.isfinite(self.taken)
 
 
@@ -61,14 +61,15 @@ def drive(
     most_steps: int = _MOST_STEPS,
     most_looks: float = _MOST_LOOKS,
 ) -> Drives:
-    """Drive from states (N, n) with finite values above 0.
+    """Drive from states (N, n) with positive, finite values.
 
     Args:
-        value: Time to reach to follow.
+        value: Time-to-reach function to follow.
         problem: Problem to drive in.
-        states: Where the drives begin.
-        most_steps: Number of steps after which a drive is not followed further.
-        most_looks: Number of looks at what a control leads to, of all drives together, after which none is.
+        states: Start states.
+        most_steps: Maximum number of steps per drive.
+        most_looks: Maximum number of evaluations of a control and disturbance, over all drives; the simulation then
+            stops.
     """
     steps = LocalSteps(problem)
     greedy = Greedy(value, steps)
@@ -96,7 +97,7 @@ def drive(
         running = running[~(arrived | struck | late | steps.beyond(end, GRAZE) | (h <= 0.0))]
     ended = np.ones(count, dtype=bool)
     ended[running] = False
-    # By the time that has passed for each second that the value has become less.
+    # Extrapolate running drives by elapsed seconds per second of decrease in the value.
     nearer = promised[running] - value.value(now[running])
     pace = np.divide(elapsed[running], nearer, out=np.full(len(running), np.inf), where=nearer > 0.0)
     taken[running] = np.where(pace < _HOPELESS, pace * promised[running], np.inf)

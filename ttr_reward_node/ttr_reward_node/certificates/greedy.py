@@ -1,4 +1,4 @@
-"""The greedy choice of a step: after its control time plus value is least, whatever the disturbance does."""
+"""Greedy choice of a control: it minimises elapsed time plus value after a step, for the worst disturbance."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ttr_reward_node.certificates.local_steps import LocalSteps
 
 Array = NDArray[np.float64]
 GRAZE = 0.5
-"""Cells by which obstacles and limits may be touched: the grid knows them no better."""
-_AHEAD = (2.0, 1.0, 0.3)  # cells; less where everything further off is unreachable
-_DONE = 0.5  # of the look-ahead, after which it chooses anew
-_CALM = 0.02  # of the time that a longer step may lose
-_SHORTEST = 0.125  # of the look-ahead at least, however near the target is
+"""Tolerated penetration of obstacles and limits [cells], because the grid does not resolve them better."""
+_AHEAD = (2.0, 1.0, 0.3)  # look-aheads [cells]; a shorter one is used where the longer ends are all unreachable
+_DONE = 0.5  # fraction of the look-ahead after which the next control is chosen
+_CALM = 0.02  # bonus for longer steps, as a fraction of their duration
+_SHORTEST = 0.125  # minimum fraction of the look-ahead, however near the target is
 
 
 class Greedy:
-    """The greedy policy of a value function. Each control is held until it has crossed as many cells as the others.
+    """Greedy policy of a value function. Each control is held until it has crossed the same number of cells.
 
     Args:
-        value: Time to reach to follow.
+        value: Time-to-reach function to follow.
         steps: Steps of the problem's system.
     """
 
@@ -31,7 +31,7 @@ class Greedy:
         self._d = steps.problem.system.disturbance_samples(2)
 
     def choose(self, states: Array) -> tuple[Array, Array, Array]:
-        """Return control (N, m), disturbance (N, n) and duration (N,) [s] at states (N, n); 0 s where nothing moves."""
+        """Return control (N, m), disturbance (N, n) and duration (N,) [s] at states (N, n); 0 s if nothing moves."""
         u, d = np.zeros((len(states), self._u.shape[1])), np.zeros(states.shape)
         h, left = np.zeros(len(states)), self._value.value(states)
         rows = np.arange(len(states))
@@ -48,16 +48,16 @@ class Greedy:
         return u, d, h
 
     def _times(self, states: Array, left: Array, cells: float) -> tuple[Array, Array, Array]:
-        """Return full and shortened look-aheads, and what they lead to (N, controls, disturbances) [s]."""
+        """Return full look-aheads, shortened ones, and the resulting times (N, controls, disturbances) [s]."""
         x, u, d = states[:, None, None], self._u[None, :, None], self._d[None, None]
         durations = self._steps.durations(x, u, d, cells)
-        # Who stands still, whatever the other does, gets nowhere.
+        # A pair under which the state stands still does not lead to the target.
         moving = np.isfinite(durations)
         durations = np.where(moving, durations, 0.0)
-        # Not far beyond the target.
+        # Do not look far beyond the target.
         ahead = np.minimum(durations, np.maximum(left[:, None, None], _SHORTEST * durations))
         ends = self._steps.move(x, u, d, ahead)
         times = ahead + self._value.value(self._steps.on_grid(ends))
         lost = self._steps.beyond(ends, GRAZE) | np.isnan(times) | ~moving
-        # Of steps that are about as good the longer one: a fast state need not go to and fro while a slow one moves.
+        # Prefer the longer of nearly equal steps, so that a fast state does not chatter while a slow one moves.
         return durations, ahead, np.where(lost, np.inf, times - _CALM * ahead)

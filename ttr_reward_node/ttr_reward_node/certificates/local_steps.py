@@ -1,4 +1,4 @@
-"""Steps of a length in cells, whatever the speed: fast states take short steps, slow ones long ones."""
+"""Steps of a fixed length in cells: fast states take short steps in time, slow states long ones."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _CHORD = np.array([0.25, 0.5, 0.75, 1.0])
-"""Parts of a step at which target and obstacles are looked at."""
+"""Fractions of a step at which target and obstacles are checked."""
 
 
 class LocalSteps:
-    """Steps of a problem's system, in units of the cells of its grid.
+    """Steps of a problem's system, measured in cells of its grid.
 
     Args:
         problem: Problem with the system, the axes and the obstacles.
@@ -31,7 +31,7 @@ class LocalSteps:
     def rates(self, states: Array, u: Array, d: Array) -> Array:
         """Return the derivatives (..., n) under controls and disturbances that broadcast against the states.
 
-        As `System.dynamics`, without its checks, which would take longer than the equations of some hundred states.
+        Same as `System.dynamics` without its checks, which would take longer than evaluating a few hundred states.
         """
         shape = np.broadcast_shapes(states.shape[:-1], u.shape[:-1], d.shape[:-1])
         found = np.empty((*shape, states.shape[-1]))
@@ -40,9 +40,9 @@ class LocalSteps:
         return found
 
     def durations(self, states: Array, u: Array, d: Array, cells: float) -> Array:
-        """Return the time (...) in which each state (..., n) crosses so many cells [s]; inf where it stands still.
+        """Return the time (...) for each state (..., n) to cross `cells` cells [s]; inf for a state that stands still.
 
-        A state at rest moves faster a moment later, so the speed is also that half of the way further on.
+        The speed is the larger of those at the start and half way, because a state at rest may accelerate.
         """
         with np.errstate(all="ignore"):
             rates = self.rates(states, u, d)
@@ -52,31 +52,31 @@ class LocalSteps:
             return np.asarray(cells / speed)
 
     def move(self, states: Array, u: Array, d: Array, durations: Array) -> Array:
-        """Return where the states (..., n) are after the durations (...) [s], which are negative for the way back.
+        """Return the states (..., n) after the durations (...) [s]; negative durations integrate backward.
 
-        By the midpoint rule: over a cell its error is far below a cell.
+        Uses the midpoint rule; over one cell its error is far below a cell.
         """
         f, h = self.rates, durations[..., None]
         with np.errstate(all="ignore"):
             return np.asarray(states + h * f(states + 0.5 * h * f(states, u, d), u, d))
 
     def chord(self, begins: Array, ends: Array) -> Array:
-        """Return points (4, ..., n) on the way from begins (..., n) to ends, the last ones being the ends."""
+        """Return points (4, ..., n) on the segments from `begins` (..., n) to `ends`; the last are the ends."""
         return begins + _CHORD.reshape(-1, *[1] * begins.ndim) * (ends - begins)
 
     def on_grid(self, states: Array) -> Array:
-        """Return the states (..., n) along their periodic axes, and at the limits where they are beyond them."""
+        """Return the states (..., n) wrapped along periodic axes and clipped to the limits."""
         return np.clip(self.problem.wrap(states), *self.problem.limits)
 
     def beyond(self, states: Array, cells: float = 0.0) -> Flags:
-        """Whether states (..., n) are beyond the limits by more than so many cells, or no numbers."""
+        """Whether states (..., n) lie outside the limits by more than `cells` cells, or are not finite."""
         low, high = self.problem.limits
         far = cells * self.spacings + 1e-9 * (self._upper - self._lower)
         inside = (states >= low - far) & (states <= high + far)
         return np.asarray(~inside.all(axis=-1))
 
     def clearance(self, states: Array) -> Array:
-        """Return the distance (...) of states (..., n) to the nearest obstacle [cells]; inf where there is none."""
+        """Return the distance (...) from states (..., n) to the nearest obstacle [cells]; inf without obstacles."""
         known = self.problem.clearance
         if known is None:
             return np.full(states.shape[:-1], np.inf)

@@ -1,11 +1,11 @@
-"""Paths that arrive, by construction: driven back from the target, and from states that reach it.
+"""Paths that arrive by construction: integrated backward from the target and from states that reach it.
 
-Whoever follows such a path the right way round arrives in its duration. So no value on it may be larger, let alone
-infinite: phi(x) <= t + phi(end) for every control, by dynamic programming. A path back goes where the solution claims
-the most, so it finds states that are called unreachable and are not, and times that are too long.
+Following such a path forward arrives within its duration t. So no value phi on it may exceed that, let alone be
+infinite: phi(x) <= t + phi(end) for every control, by dynamic programming. A backward path heads for states where the
+solution predicts the longest times, so it finds reachable states marked unreachable, and times that are too long.
 
-On a grid both sides are known to a few cells. A state has the least value of its surroundings, two cells in each
-direction, and an end the largest of its own. A path keeps half a cell off obstacles, and within the limits.
+On a grid, both sides of the inequality are known only to a few cells. The start takes the smallest value within two
+cells in each direction, the end the largest. A path stays half a cell away from obstacles, and within the limits.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-_AROUND = 2  # cells by which either side may be off
-_STEP = 1.0  # cells
-_HOLD = 6  # steps for which a control is held, at most
-_CHOICE = 3  # controls to choose from, where the solution claims the most
+_AROUND = 2  # uncertainty of either side [cells]
+_STEP = 1.0  # length of a step [cells]
+_HOLD = 6  # maximum number of steps for which a control is held
+_CHOICE = 3  # number of candidate controls per choice
 _STEPS, _STEPS_OF_A_GAME = 64, 12
-_LOOK, _LOOK_OF_A_GAME = 2, 6  # steps between two looks at the value
-_PATIENCE = 3  # times as many steps as back, for the way against another disturbance
-_FEINTS = 4  # disturbances that switch at random between their extremes
-_FROM_TARGET = 128  # paths from the target itself
-_APART = 0.5  # cells to keep off obstacles
-_RATIO, _CELLS = 1.15, 3.0  # values may be larger by so much, and the time of so many cells
+_LOOK, _LOOK_OF_A_GAME = 2, 6  # steps between two checks of the value
+_PATIENCE = 3  # number of forward steps against another disturbance, per backward step
+_FEINTS = 4  # number of disturbances that switch at random between their extremes
+_FROM_TARGET = 128  # number of paths from the target itself
+_APART = 0.5  # distance kept from obstacles [cells]
+_RATIO, _CELLS = 1.15, 3.0  # a value may exceed the path's time by this factor, plus the time to cross this many cells
 
 
 @dataclass(frozen=True, eq=False)
 class PathsBack:
-    """What the paths showed.
+    """Result of the search along backward paths.
 
     Attributes:
         paths: Number of paths.
-        contradictions: Number of those that contradict the solution.
-        state: State (n,) at which the contradiction is largest; None without any.
-        promised: Value there, the least within two cells [s].
-        possible: Time in which it arrives all the same [s].
+        contradictions: Number of paths that contradict the solution.
+        state: State (n,) with the largest contradiction; None without contradictions.
+        promised: Smallest value within two cells of that state [s].
+        possible: Time in which that state actually arrives [s].
     """
 
     paths: int
@@ -56,7 +56,7 @@ class PathsBack:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Controls (N, m) that are held for `number` steps of a duration (N,) [s] each."""
+    """Controls (N, m), each held for `number` steps of a given duration (N,) [s]."""
 
     controls: Array
     duration: Array
@@ -64,16 +64,17 @@ class Held:
 
 
 def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random: np.random.Generator) -> PathsBack:
-    """Drive back from the target, and from states (N, n) that reach it.
+    """Integrate backward from the target and from states (N, n) that reach it.
 
-    Against a disturbance a path is a single control for a few cells, back against one of the extreme disturbances. It
-    counts for as long as the way takes against the worst of them, and of some that switch between the extremes.
+    In a game, a path holds a single control for a few cells, backward against one of the extreme disturbances. Its time
+    is then the longest over forward simulations against every extreme disturbance and a few that switch at random
+    between the extremes.
     """
     steps, around = LocalSteps(problem), Surroundings(value, problem)
     low, high = problem.system.disturbance_bounds
     played = bool((low < high).any())
     if played:
-        states = states[: len(states) // 2]  # each costs much more
+        states = states[: len(states) // 2]  # each path costs much more in a game
     begins = np.concatenate((in_target(problem, _FROM_TARGET // 2 if played else _FROM_TARGET, random), states))
     at_begin = np.concatenate((np.zeros(len(begins) - len(states)), around.largest(states)))
     kept = np.isfinite(at_begin) & ~steps.beyond(begins) & (steps.clearance(begins) > _APART)
@@ -116,13 +117,13 @@ def search(value: ValueGrid, problem: TimeToReachProblem, states: Array, random:
     wrong = worst > 1.0
     if not wrong.any():
         return PathsBack(paths, 0, None, 0.0, 0.0)
-    # Of the worst the soonest, which is the easiest to try.
+    # Among the largest contradictions, take the one that arrives soonest: it is the easiest to verify.
     row = int(np.lexsort((found[:, 1], -worst))[0])
     return PathsBack(paths, int(wrong.sum()), place[row], float(found[row, 0]), float(found[row, 1]))
 
 
 def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, d: Array, random: np.random.Generator) -> Array:
-    """Return the controls (N, m) that lead back to where the solution claims the most, of a few."""
+    """Return, from a few random controls per state, those (N, m) that lead back to the largest predicted time."""
     problem = steps.problem
     samples, (low, high) = problem.control_samples, problem.system.control_bounds
     offered = samples[random.integers(len(samples), size=(len(x), _CHOICE))]
@@ -137,9 +138,9 @@ def _bold_controls(value: ValueGrid, steps: LocalSteps, x: Array, d: Array, rand
 
 
 def _longest_way(steps: LocalSteps, around: Surroundings, x: Array, held: Held, random: np.random.Generator) -> Array:
-    """Return the time (N,) in which states (N, n) arrive by the held control, whatever the disturbance does [s].
+    """Return the worst-case time (N,) over the disturbances in which states (N, n) arrive by the held control [s].
 
-    The control is given up for the solution's own where that takes it to the target soonest.
+    The path may switch from the held control to following the solution at any check, if that reaches the target sooner.
     """
     extremes, worst = steps.problem.system.disturbance_samples(2), np.zeros(len(x))
     for play in range(len(extremes) + _FEINTS):
@@ -160,7 +161,7 @@ def _longest_way(steps: LocalSteps, around: Surroundings, x: Array, held: Held, 
 
 
 def in_target(problem: TimeToReachProblem, count: int, random: np.random.Generator) -> Array:
-    """Draw up to `count` states (..., n) of the target."""
+    """Draw up to `count` states (..., n) in the target."""
     low, high = np.array([[axis.lower, axis.upper] for axis in problem.axes]).T
     low, high = np.clip([low, high], *problem.limits)
     for k, axis in enumerate(problem.axes):
@@ -176,7 +177,7 @@ def in_target(problem: TimeToReachProblem, count: int, random: np.random.Generat
 
 
 class Surroundings:
-    """Least and largest values within two cells of a state.
+    """Smallest and largest values within two cells of a state.
 
     Args:
         value: Values at the nodes.
@@ -188,7 +189,7 @@ class Surroundings:
         self._offsets = np.array(list(product((-_AROUND, 0, _AROUND), repeat=len(problem.axes))))
 
     def least(self, states: Array) -> Array:
-        """Return the least value (N,) around states (N, n) on the grid [s]."""
+        """Return the smallest value (N,) around states (N, n) on the grid [s]."""
         return np.asarray(self._around(states).min(axis=1))
 
     def largest(self, states: Array) -> Array:

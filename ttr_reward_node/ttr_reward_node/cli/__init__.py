@@ -1,1 +1,1 @@
-"""The commands of the package."""
+"""Command-line interface of the package."""

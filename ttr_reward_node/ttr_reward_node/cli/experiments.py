@@ -1,4 +1,4 @@
-"""The command `ttr_experiments`: measurements of the solvers, printed, and written as JSON and pictures.
+"""The command `ttr_experiments`: measure the solvers, print the results, and write them as JSON and figures.
 
 ttr_experiments convergence | check | gap | cost [--output FILE.json] [--picture FILE.png]
 """
@@ -27,7 +27,7 @@ _FINER = {"x": 17, "v_x": 11, "z": 17, "v_z": 11, "psi": 17, "omega": 5}
 _STARTS = 1000
 
 Measured = tuple[list[Result], Callable[[Path], None] | None]
-"""Results, and the function that draws them; None where there is no picture."""
+"""Results and the function that draws them; None if the experiment has no figure."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Options:
     ]
     """Name of the experiment."""
     output: Path | None = None
-    """JSON file for the results; none is written where it is left out."""
+    """JSON file for the results (default: not written)."""
     picture: Path | None = None
-    """Picture to draw (gap and cost); none is drawn where it is left out."""
+    """Figure to draw, for gap and cost (default: not drawn)."""
 
 
 def _run(options: Options) -> int:
@@ -64,7 +64,7 @@ def _run(options: Options) -> int:
 
 
 def _check_files(options: Options, draws: bool) -> None:
-    """Refuse files that cannot be written, before hours of measuring.
+    """Check that the output files can be written, before hours of measurement.
 
     Raises:
         TimeToReachError: An option names a file that cannot be written.
@@ -134,9 +134,9 @@ def _gap(show: Callable[..., None]) -> Measured:
             results += [result for one in gaps for result in _gap_results(one.summary())]
 
     def draw(picture: Path) -> None:
-        from ttr_reward_node.plots.decomposition_error import draw_decomposition_errors  # matplotlib is not for robots
+        from ttr_reward_node.plots.decomposition_error import draw_decomposition_errors  # keep matplotlib off robots
 
-        draw_decomposition_errors(gaps, task, picture)  # of the finest grid, with obstacles
+        draw_decomposition_errors(gaps, task, picture)  # errors on the finest grid, with obstacles
 
     return results, draw
 
@@ -178,7 +178,7 @@ def _cost(show: Callable[..., None]) -> Measured:
             results.append(Result(name, "exponent of the points, 1 is linear", "1", [cost.exponent(mine)]))
 
     def draw(picture: Path) -> None:
-        from ttr_reward_node.plots.cost import draw_cost  # matplotlib is not for robots
+        from ttr_reward_node.plots.cost import draw_cost  # keep matplotlib off robots
 
         draw_cost(rows, picture)
 
@@ -195,7 +195,7 @@ _EXPERIMENTS: dict[str, tuple[str, Callable[[Callable[..., None]], Measured], bo
     "gap": ("Time to reach of the quadrotor: what the decomposition costs", _gap, True),
     "cost": ("Time to reach: cost as the grid grows", _cost, True),
 }
-"""Title of the results file, function that measures and tells each step's name, and whether there is a picture."""
+"""Title of the results file, measuring function (reports the name of each step), and whether a figure is drawn."""
 
 main = make_command("ttr_experiments", Options, _run)
 

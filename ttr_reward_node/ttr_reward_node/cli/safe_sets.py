@@ -20,16 +20,16 @@ def solve_and_save(
     max_steps: int | None,
     overwrite: bool,
 ) -> bool:
-    """Solve, write the file, say how it went, and return whether it converged.
+    """Solve, write the file, print a summary, and return whether the solver converged.
 
     Args:
         problem: System, axes, obstacles and target.
         kind: "avoid" or "reach_avoid".
         output: File to write.
-        horizon: Time that the game lasts [s]; None: for ever.
-        tolerance: Largest change of the last step [m]; None for the solver's own.
-        max_steps: Number of steps after which it gives up; None for the solver's own.
-        overwrite: Whether an existing file is replaced.
+        horizon: Duration of the game [s]; None for an infinite horizon.
+        tolerance: Largest change in the last step [m]; None for the solver's default.
+        max_steps: Maximum number of steps; None for the solver's default.
+        overwrite: Whether to replace an existing file.
     """
     print(f"problem    {problem.system.name}, {' x '.join(map(str, problem.counts))} nodes, {kind}")
     with tqdm(desc="solving", unit=" steps", disable=None) as bar:

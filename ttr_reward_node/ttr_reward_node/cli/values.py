@@ -1,4 +1,4 @@
-"""The commands `solve`, `check`, `slices` and `relabel`: compute, verify and draw times to reach; reward bags."""
+"""The commands `solve`, `check`, `slices` and `relabel`: compute, verify and plot values; add rewards to bags."""
 
 from __future__ import annotations
 
@@ -74,82 +74,84 @@ _Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT")]
 
 @dataclass(frozen=True)
 class Solve:
-    """Compute the shortest time to a task's goal from every state (thesis Eq. 3.4), or which states are safe."""
+    """Compute the shortest time to a task's goal from every state (thesis Eq. 3.4), or the safe states."""
 
     task: str
     """Name or .yaml file of the task."""
     kind: Literal["time_to_reach", "avoid", "reach_avoid"] = "time_to_reach"
-    """Value to compute: the time to the goal; or how far off all obstacles can be avoided [m], also on the way to the
-    goal: states are safe where that is not negative."""
+    """Value to compute: the time to the goal [s]; or the distance that can be kept from all obstacles [m], for ever
+    (avoid) or until the goal is reached (reach_avoid). States with a value of at least 0 m are safe."""
     horizon: FiniteNumber | None = None
-    """Time for which to avoid, or in which to reach and avoid [s]; for ever where none is given."""
+    """Time horizon of avoid and reach_avoid [s] (default: infinite)."""
     output: Path | None = None
-    """File to write; <task>.safetensors where none is given."""
+    """File to write (default: <task>.safetensors)."""
     overwrite: bool = False
     """Replace an existing file."""
     method: Literal["semi_lagrangian", "lax_friedrichs"] = "semi_lagrangian"
-    """Solver; lax_friedrichs is the thesis's, less exact and slower."""
+    """Solver; lax_friedrichs is the method of the thesis, less accurate and slower."""
     count: _Counts = ()
-    """Number of nodes on a state's axis, in place of the task's."""
+    """Number of nodes on the axis of a state (default: the task's)."""
     disturbance: _Disturbances = ()
-    """Bounded disturbances that work against the robot, such as d_x=-0.1:0.1; d_x=0.5:0.5 is a steady current."""
+    """Bounds of adversarial disturbances, e.g. d_x=-0.1:0.1; d_x=0.5:0.5 is a steady current."""
     controls: _ControlCounts = ()
-    """Number of samples of a control between its bounds; as many as the equations need where it is not named."""
+    """Number of samples of a control between its bounds (default: as many as the equations need)."""
     inflation: FiniteNumber | None = None
-    """Distance by which obstacles are widened [m]; 0 where neither this nor --robot-size is given."""
+    """Inflation of obstacles [m] (default: 0, or the robot's radius with --robot-size)."""
     robot_size: bool = False
-    """Widen obstacles by the robot's radius."""
+    """Inflate obstacles by the robot's radius."""
     width: FiniteNumber | None = None
-    """Width of the task's corridor [m]; the task's own where none is given."""
+    """Width of the task's corridor [m] (default: the task's)."""
     decomposition: _Decomposition | None = None
-    """Split of the system; the maximum of its parts is a lower bound (4d+4d is the thesis's for the quadrotor)."""
+    """Decomposition of the system; the maximum over its parts is a lower bound (4d+4d is the thesis's for the
+    quadrotor)."""
     tolerance: FiniteNumber | None = None
-    """Largest change of the last sweep [s]; a fraction of the time to cross a cell where none is given."""
+    """Largest change in the last sweep [s] (default: a fraction of the time to cross a cell)."""
     max_sweeps: Positive | None = None
-    """Number of sweeps after which the solver gives up; the method's own limit where none is given."""
+    """Maximum number of sweeps (default: the method's limit)."""
     finer: Positive | None = None
-    """Into how many cells each of the grid's is split while it is solved; up to 4 on two axes where none is given."""
+    """Number of cells into which each grid cell is split along each axis while solving (default: up to 4 on two axes,
+    else 1)."""
     strict: bool = False
-    """Exit with 1 where the solution is doubtful."""
+    """Exit with code 1 if the solution is doubtful."""
     device: str = "cpu"
-    """Where to sweep: cpu, or cuda for a GPU (cuda:1 for a second one), which needs NVIDIA Warp."""
+    """Device to solve on: cpu, or cuda for a GPU (cuda:1 for a second one), which needs NVIDIA Warp."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """Drive greedily by a time-to-reach function from random states, and compare executed with predicted times."""
+    """Drive greedily by a time-to-reach function from random states, and compare executed and predicted times."""
 
     file: _File
     """Time-to-reach function of a car (.safetensors)."""
     task: str | None = None
-    """Task to drive in; the one that the function was made for where none is given."""
+    """Task to drive in (default: the function's task)."""
     width: FiniteNumber | None = None
-    """Width of the task's corridor [m]; the task's own where none is given."""
+    """Width of the task's corridor [m] (default: the task's)."""
     starts: Positive = 1000
     """Number of random start states."""
     seed: NotNegative = 0
-    """Seed of the random start states."""
+    """Random seed for the start states."""
     at_least: FiniteNumber | None = None
-    """Fraction of the starts, such as 0.95, that must arrive: exit with 1 if fewer do."""
+    """Minimum fraction of starts that must arrive, e.g. 0.95; exit with code 1 if fewer do."""
 
 
 @dataclass(frozen=True)
 class Slices:
-    """Draw slices through a time-to-reach function, as thesis Fig. 3.1 does, or through a safety value."""
+    """Plot slices through a time-to-reach function, as in thesis Fig. 3.1, or through a safety value."""
 
     file: _File
     """Time-to-reach function or safety value (.safetensors)."""
     task: str | None = None
-    """Task to draw with it; the one that the function was made for where none is given."""
+    """Task whose goal and obstacles to draw (default: the function's task)."""
     output: Path | None = None
-    """Picture to write; beside the file where none is given."""
+    """Figure to write (default: FILE with the suffix .png)."""
     at: _Cuts = ()
-    """Values at which to cut, such as theta=0,1.57; those of Fig. 3.1 where none are given."""
+    """Values of other states to slice at, e.g. theta=0,1.57 (default: those of Fig. 3.1)."""
 
 
 @dataclass(frozen=True)
 class Relabel:
-    """Copy a bag with the topics reward and time_to_reach, for offline learning."""
+    """Copy a bag and add the topics reward and time_to_reach, for offline learning."""
 
     bag: _Bag
     """Bag with odometry in the frame of the time-to-reach function."""
@@ -158,19 +160,19 @@ class Relabel:
     grid: Path
     """Time-to-reach function (.safetensors)."""
     task: str | None = None
-    """Task that defines the rewards; the one that the function was made for where none is given."""
+    """Task that defines the rewards (default: the function's task)."""
     width: FiniteNumber | None = None
-    """Width of the task's corridor [m]; the task's own where none is given."""
+    """Width of the task's corridor [m] (default: the task's)."""
     robot: str = ""
-    """Namespace of the robot's topics; none where it is empty."""
+    """Namespace of the robot's topics; empty for none."""
     odometry: str = "odom"
-    """Topic of the odometry, in the namespace unless it begins with /."""
+    """Odometry topic, relative to the namespace unless it begins with /."""
     other_task: bool = False
-    """Take a bag of another task, or of another version of it, too."""
+    """Also accept a bag of another task or of another version of the task."""
     frame: str = "map"
     """Frame of the function's positions."""
     replace: bool = False
-    """Leave out the rewards that the bag already has."""
+    """Replace rewards and values that the bag already contains."""
 
 
 def _problem(options: Solve) -> TimeToReachProblem:
@@ -195,7 +197,7 @@ def _problem(options: Solve) -> TimeToReachProblem:
         disturbances=dict(options.disturbance),
         control_counts=dict(options.controls),
     )
-    return replace(problem, digest=task_digest(task))  # a grid that was made here does not make it another task
+    return replace(problem, digest=task_digest(task))  # a grid chosen here does not change the task's identity
 
 
 def _solve(options: Solve) -> int:
@@ -243,7 +245,7 @@ def _solve_one(problem: TimeToReachProblem, options: Solve) -> Solution:
             bar.update()
 
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtfulValueWarning)  # doubts are printed below
+            warnings.simplefilter("ignore", DoubtfulValueWarning)  # printed below
             solution = solve(
                 problem,
                 options.method,
@@ -282,7 +284,7 @@ def _check(options: Check) -> int:
 
 
 def _slices(options: Slices) -> int:
-    from ttr_reward_node.plots.value_slices import draw_slices  # matplotlib is not for robots
+    from ttr_reward_node.plots.value_slices import draw_slices  # keep matplotlib off robots
 
     function = load_value(options.file)
     output = options.output or options.file.with_suffix(".png")

@@ -1,4 +1,4 @@
-"""Compiled checks of which steps hit the target or an obstacle between nodes, computed once before the sweeps."""
+"""Compiled checks of which steps hit the target or an obstacle between nodes; computed once, before the sweeps."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from numpy.typing import NDArray
 from ttr_reward_node.kernels.stencil import Grid
 
 FREE, NEAR, FIXED, LOST = 0, 1, 2, 4
-"""Flags of nodes: far from everything; within reach of target or obstacle; in one of them. LOST is added to one of
-these where the first phase has found that the target cannot be reached."""
+"""Node flags: far from target and obstacles; within reach of one; inside one. LOST is added to one of these when the
+first phase has found that the target cannot be reached from the node."""
 
 INTERPOLATE, BLOCKED, PASSES_TARGET = 0.0, -1.0, -2.0
-"""Outcomes of a step: interpolate where it ends; it hits an obstacle; it passes by the target, so skip its nodes."""
+"""Outcomes of a step: interpolate at its end; it hits an obstacle; it passes the target, so skip the target's nodes."""
 
 _OPTIONS = {"error_model": "numpy"}
-MARGIN, MARGIN_OF_LONG = 0.15, 0.6  # cells kept from obstacles: who steers by what grazes them touches them
+# Clearance of normal and long steps [cells]: a robot that follows steps grazing an obstacle collides with it.
+MARGIN, MARGIN_OF_LONG = 0.15, 0.6
 
 
 class BoundaryConditions(NamedTuple):
     """Target and obstacles for compiled code, axes in the layout's order.
 
     Attributes:
-        box: Intervals of the target (n, 2) [cells], infinite where it is free.
-        disc: Centre (2) from the first node and radius [m], then spacings (2) [m] of the target's disc.
-        disc_axes: Indices of the disc's two axes, -1 for no disc.
+        box: Intervals of the target (n, 2) [cells], infinite for free states.
+        disc: Target disc: centre (2) relative to the first node [m], radius [m], spacings (2) [m].
+        disc_axes: Indices of the disc's two axes, -1 without a disc.
         clearance: Distance to the nearest obstacle at the nodes (count, count) [m].
-        clearance_axes: Indices of the clearance's axes, twice the same for one axis, -1 for no obstacles.
+        clearance_axes: Indices of the clearance's axes, twice the same for one axis, -1 without obstacles.
         cell: Largest spacing of the clearance's axes [m].
     """
 
@@ -42,13 +43,14 @@ class BoundaryConditions(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Paths of the steps from some slabs, as straight segments.
+    """Paths of the steps from k slabs, as straight segments.
 
     Attributes:
-        durations: Durations (k, pairs) [s]; 0 where there is no step.
-        moves: Displacements after each piece (k, pairs, parts, n) [cells].
-        ahead: Displacements from the end after each piece of a little more of the same (k, pairs, pieces, n) [cells].
-        more: Duration of that (k, pairs) [s]; 0 for none.
+        durations: Durations (k, pairs) [s]; 0 if there is no step.
+        moves: Displacements from the start after each segment (k, pairs, parts, n) [cells].
+        ahead: Displacements from the end after each segment of a short extension of the step (k, pairs, pieces, n)
+            [cells].
+        more: Duration of the extension (k, pairs) [s]; 0 without one.
         reach: Largest distance from the start in the plane of the obstacles (k, pairs) [m].
     """
 
@@ -70,20 +72,20 @@ def find_outcomes(
     rate: float,
     outcomes: NDArray[np.float32],
 ) -> None:
-    """Fill `outcomes` (N, pairs) of nodes (N,): the discount exp(-rate t) of a hit of the target, or a code.
+    """Fill `outcomes` (N, pairs) of nodes (N,): the discount exp(-rate t) if the step hits the target, else a code.
 
     A step that ends in a cell cut by the target's edge is extended a little under the same control to find the hit:
-    interpolating there would lengthen every path by a fraction of a cell.
+    interpolation there would lengthen every path by a fraction of a cell.
 
     Args:
         nodes: Nodes near the target or an obstacle (N,).
-        slabs: Where `paths` has the ways of each node's steps (N,).
-        paths: Ways of the steps.
+        slabs: Row of `paths` with the steps of each node (N,).
+        paths: Paths of the steps.
         grid: Axes in the layout's order.
         long: Whether the steps of each pair are long (pairs,).
         boundary: Target and obstacles.
         rate: Rate lambda of the transform [1/s].
-        outcomes: Outcomes to fill in (N, pairs).
+        outcomes: Output (N, pairs).
     """
     n = grid.n
     pairs = paths.durations.shape[1]
@@ -122,13 +124,13 @@ def _classify_step(
     grid: Grid,
     boundary: BoundaryConditions,
 ) -> float:
-    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle blocks the path.
+    """Return the fraction of the step at which it hits the target; 2 for a miss, -1 if an obstacle blocks it.
 
     Args:
         start: Start of the step (n,) [cells].
-        move: Displacements after each of its straight pieces (parts, n) [cells].
-        obstacles: Whether any obstacle is near enough to be looked at.
-        margin: Clearance that the path keeps [m].
+        move: Displacements after each straight segment (parts, n) [cells].
+        obstacles: Whether an obstacle is near enough to be checked.
+        margin: Clearance that the path must keep [m].
         grid: Axes in the layout's order.
         boundary: Target and obstacles.
     """
@@ -146,7 +148,7 @@ def _classify_step(
 
 @njit(**_OPTIONS)
 def _may_hit(start: NDArray[np.float64], move: NDArray[np.float32], grid: Grid, boundary: BoundaryConditions) -> bool:
-    """Whether the box around a path meets the target's intervals: cheap, and false for most steps."""
+    """Whether the bounding box of a path meets the target's intervals: a cheap test, false for most steps."""
     box = boundary.box
     for k in range(grid.n):
         if box[k, 1] - box[k, 0] == np.inf:
@@ -174,10 +176,10 @@ def _obstacle_ahead(
     margin: float,
     boundary: BoundaryConditions,
 ) -> bool:
-    """Whether an obstacle blocks a part of the step, taken as straight, up to the fraction `end` of it.
+    """Whether an obstacle blocks straight segment `part` of the step before its fraction `end`.
 
-    The clearance is sampled every half cell or closer: `problems.obstacles` makes sure that obstacles are at least a
-    cell thick.
+    The clearance is sampled at least every half cell: `problems.obstacles` ensures that obstacles are at least a cell
+    thick.
     """
     i, j = boundary.clearance_axes[0], boundary.clearance_axes[1]
     if i < 0:
@@ -199,7 +201,7 @@ def _obstacle_ahead(
 def _target_entry(
     start: NDArray[np.float64], move: NDArray[np.float32], part: int, grid: Grid, boundary: BoundaryConditions
 ) -> float:
-    """Fraction of a part of the step, taken as straight, at which it enters the target; 2 if it does not."""
+    """Return the fraction of straight segment `part` of the step at which it enters the target; 2 if it does not."""
     box = boundary.box
     enter, leave = 0.0, 1.0
     for k in range(grid.n):
@@ -238,7 +240,7 @@ def _target_entry(
 
 @njit(**_OPTIONS)
 def _within_cell_of_target(end: NDArray[np.float64], grid: Grid, boundary: BoundaryConditions) -> bool:
-    """Whether a point outside the target lies less than a cell from it along every axis."""
+    """Whether a point outside the target is less than a cell away from it along every axis."""
     box = boundary.box
     for k in range(grid.n):
         low, high = box[k, 0], box[k, 1]
@@ -267,7 +269,7 @@ def _clearance(start: NDArray[np.float64], boundary: BoundaryConditions) -> floa
 
 @njit(**_OPTIONS)
 def clearance_at(clearance: NDArray[np.float32], first: float, second: float) -> float:
-    """Bilinear interpolation of the clearance [m] at a position [cells]; outside, that of the edge."""
+    """Interpolate the clearance bilinearly [m] at a position [cells]; outside the grid, return the edge value."""
     a = min(max(first, 0.0), clearance.shape[0] - 1.0)
     b = min(max(second, 0.0), clearance.shape[1] - 1.0)
     i, j = int(a), int(b)

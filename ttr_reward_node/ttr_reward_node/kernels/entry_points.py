@@ -1,8 +1,8 @@
-"""Entry points of the kernels, whose machine code is kept on disk between processes.
+"""Entry points of the kernels, with machine code cached on disk.
 
-Numba keeps code as long as the file of the function itself is unchanged; at the functions that it calls it does not
-look. But it compares what a function closes over. So each entry point closes over a checksum of all kernels, and is
-compiled again when one of them has changed.
+Numba's cache of a function is valid while the function's own file is unchanged; changes in its callees go unnoticed.
+But closure variables are part of the cache key. So each entry point closes over a checksum of all kernels, and is
+recompiled when one of them changes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ KERNEL_FILES = (
 
 
 class Kernels(NamedTuple):
-    """Those of the modules that are imported above."""
+    """Compiled entry points of the kernels."""
 
     find_outcomes: Callable[..., Any]
     sweep: Callable[..., Any]
@@ -52,7 +52,7 @@ class Kernels(NamedTuple):
 
 @cache
 def kernels() -> Kernels:
-    """Return the entry points; each is compiled, or read from disk, at its first call."""
+    """Return the entry points; each is compiled, or loaded from the cache, at its first call."""
     checksum = 0
     for name in KERNEL_FILES:
         checksum = zlib.crc32((Path(__file__).parent / name).read_bytes(), checksum)
@@ -85,5 +85,5 @@ def _make(checksum: int) -> Kernels:
         return safety_sweep.step_back(*arguments)
 
     entries = (find_outcomes, semi_lagrangian, sweep_nodes, sweep_slabs, lax_friedrichs, step_back)
-    # Without the interpreter's lock, so that threads share a sweep.
+    # Release the GIL so that threads can share a sweep.
     return Kernels(*(cached_njit(entry, error_model="numpy", nogil=True) for entry in entries))

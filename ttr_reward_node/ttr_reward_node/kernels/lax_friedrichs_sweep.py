@@ -1,4 +1,4 @@
-"""One Lax-Friedrichs sweep over the nodes (Kao, Osher, Qian 2004; thesis section 3.2.2), in place; compiled."""
+"""Compiled in-place Lax-Friedrichs sweep over the nodes (Kao, Osher, Qian 2004; thesis section 3.2.2)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Hamiltonian(NamedTuple):
 
     Attributes:
         rates: Derivatives f in each slab under each pair (slabs, pairs, n).
-        controls: Number of controls, the faster index of the pairs.
+        controls: Number of controls; the control is the fastest-varying index of the pairs.
         viscosity: Largest speed s along each axis in each slab (slabs, n): local Lax-Friedrichs.
-        spacings: Spacing dx of the nodes (n,) [unit of the axis].
+        spacings: Node spacing dx (n,) [unit of the axis].
         rate: Rate lambda of the transform [1/s].
     """
 
@@ -35,19 +35,18 @@ class Hamiltonian(NamedTuple):
 def sweep(v: NDArray[np.float64], fixed: NDArray[np.bool_], grid: Grid, hamiltonian: Hamiltonian, bits: int) -> float:
     """Update every node once.
 
-    v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of
-    grad v . f = lambda (v - 1), so a node that is not known yet (1) weighs no more than an unreachable one. With
-    central differences p,
-    viscosity s and the mean m of the two neighbours along each axis,
+    v = 1 - exp(-lambda phi) (Kruzhkov) lies between 0 and 1 and solves max over d, min over u of grad v . f = lambda (v
+    - 1), so a node not yet known (1) weighs no more than an unreachable one. With central differences p, viscosity s
+    and the mean m of the two neighbours along each axis,
 
         v = (sum of s/dx m + lambda + max_d min_u p . f) / (sum of s/dx + lambda).
 
     Args:
-        v: Values at the nodes, flat, in the layout's order; changed by the sweep.
-        fixed: Whether each node keeps its value, in target and obstacles.
+        v: Values at the nodes, flat, in the layout's order; updated in place.
+        fixed: Whether each node is fixed because it lies in the target or an obstacle.
         grid: Axes in the layout's order.
         hamiltonian: Tables of the Hamiltonian.
-        bits: Direction of the sweep: bit k says to go down axis k.
+        bits: Sweep direction: axis k is traversed downwards if bit k is set.
 
     Returns:
         The largest change of v.
@@ -71,7 +70,7 @@ def sweep(v: NDArray[np.float64], fixed: NDArray[np.bool_], grid: Grid, hamilton
         total, scale = rate, rate
         for k in range(n):
             i = index[k]
-            if counts[k] == 1:  # the dummy axis: no neighbours
+            if counts[k] == 1:  # the dummy axis has no neighbours
                 continue
             if periodic[k]:
                 below = v[node + ((i - 1) % counts[k] - i) * strides[k]]
@@ -99,5 +98,5 @@ def sweep(v: NDArray[np.float64], fixed: NDArray[np.bool_], grid: Grid, hamilton
 
 @njit(forceinline=True, **_OPTIONS)
 def _beyond(edge: float, inner: float) -> float:
-    """Value of the node that would lie outside: extrapolated, but never so that time flows in (Kao, Osher, Qian)."""
+    """Extrapolate the value of a ghost node beyond the edge, without inflow (Kao, Osher, Qian)."""
     return min(max(edge + edge - inner, inner), 1.0)

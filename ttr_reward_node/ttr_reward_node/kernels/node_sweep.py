@@ -1,8 +1,8 @@
-"""One sweep of the semi-Lagrangian scheme where f depends on every state: each node has steps of its own. Compiled.
+"""Compiled semi-Lagrangian sweep for systems whose f depends on every state: each node has its own steps.
 
-The rule is that of `kernels.sweep`. There, all nodes of a row share their stencils; here, each node finds its own from
-its table of 16-bit displacements, and nothing else is kept. Two sweeps of three only try the step that was best before
-(as policy iteration does): that is most of what the next full sweep would find, at a fraction of its cost.
+The update is that of `kernels.sweep`. There, all nodes of a row share stencils; here, the stencil of each node is
+computed on the fly from its table of 16-bit displacements. Two of three sweeps only try the best step of the last full
+sweep (as in policy iteration): that achieves most of what a full sweep would, at a fraction of the cost.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ttr_reward_node.kernels.sweep import TINY, Nodes, SweepSettings, change_of
 
 _OPTIONS = {"error_model": "numpy"}
 _INLINE = {"error_model": "numpy", "forceinline": True}
-_CELL_AXES, _MOST_CORNERS = 3, 8  # up to so many axes all corners of a cell count, above those of a simplex in it
-_OFTEN = 4  # axes
-_BITS = 11  # PER_CELL is 2 to this power: a shift and a mask split a displacement
-_ROUNDED = 3  # [1 / PER_CELL cells]: a step that was cut short at the edge ends there only to rounding
+_CELL_AXES, _MOST_CORNERS = 3, 8  # up to _CELL_AXES axes, interpolate over the cell, above over a simplex
+_OFTEN = 4  # most frequent number of axes, with its own specialised code
+_BITS = 11  # PER_CELL = 2 ** _BITS, so a shift and a mask split a displacement
+_ROUNDED = 3  # rounding error of a step truncated at the edge [1 / PER_CELL cells]
 _CELL = np.float32(1.0 / PER_CELL)
-_ALL = np.float32(0.99)  # weight of its own node with which a step leads nowhere
-_LEAST_PART = 3  # [1 / PER_CELL cells]: nearer to a node there is no curvature to add
+_ALL = np.float32(0.99)  # weight of the start node above which a step leads nowhere
+_LEAST_PART = 3  # distance to a plane of the grid below which no curvature is added [1 / PER_CELL cells]
 
 CORNERS = np.dtype(
     [
@@ -46,12 +46,12 @@ CORNERS = np.dtype(
 
 Fields:
     size: Number of corners; 0 where the step leaves the grid.
-    own: Weight of the node itself at which the step begins, which is no corner (see `stencil.place_corners`).
+    own: Weight of the start node, which is excluded from the corners (see `stencil.place_corners`).
     offset, weight: Node and weight of each corner.
     lower: Index of the lower node along each axis.
-    part: Way from the lower node along each axis [1 / PER_CELL cells].
-    between: Number of axes along which the end is not on a plane of the grid.
-    sorted_part, sorted_ahead: Ways along these in descending order; offsets from their lower to their upper node.
+    part: Distance from the lower node along each axis [1 / PER_CELL cells].
+    between: Number of axes along which the end lies between planes of the grid.
+    sorted_part, sorted_ahead: Along these axes, `part` in descending order and offset from lower to upper node.
 """
 
 Corners = Any
@@ -69,26 +69,26 @@ def sweep_nodes(
     part: int,
     parts: int,
 ) -> np.float32:
-    """Update every node of a part.
+    """Update every node of a part of the grid.
 
     Args:
-        nodes: All nodes; the values of the part's are changed.
-        grid: Axes, all of them outer ones.
+        nodes: All nodes; the values in the part are updated in place.
+        grid: Axes, all outer.
         steps: Steps of each node under each pair.
         best: Best pair of each node (nodes,), found by full sweeps and used by the others.
         settings: Settings of the sweep.
         full: Whether all pairs are tried.
-        part: Number of the part, from 0: a stretch of the first axis.
+        part: Index of the part, from 0: a range of the first axis.
         parts: Number of parts.
 
     Returns:
-        The largest change of phi [s], infinite where a node became reachable or unreachable.
+        The largest change of phi [s]; infinite if a node became reachable or unreachable.
     """
     n, last = grid.n, grid.counts[grid.n - 1]
     first, until, own = find_part(grid, len(nodes.flags), part, parts)
     rule = Rule(np.float32(settings.jump * settings.rate), np.float32(settings.enough), settings.curved)
     grow = settings.curved or settings.jump == np.inf or not full
-    # Numba counts references whenever it takes an array out of a tuple: not in the loop.
+    # Unpack outside the loop: Numba counts references whenever it takes an array out of a tuple.
     values, flags, outcomes, row_near = nodes
     codes, ends, long, discounts, controls = steps.codes, steps.ends, steps.long, steps.discounts, steps.controls
     pairs = codes.shape[1]
@@ -124,7 +124,7 @@ def sweep_nodes(
                     found = outcome
                     quick = False
                     if simplex and outcome == INTERPOLATE:
-                        # As many loops as there are axes are laid out one after the other where the number is given.
+                        # With a constant number of axes, the compiler unrolls the loops over them.
                         if n == _OFTEN:
                             quick, found = _go(_OFTEN, values, grid, index, ends, node, p, own, rule, long[p], corners)
                         else:
@@ -156,9 +156,9 @@ def sweep_nodes(
 
 @njit(**_INLINE)
 def _lower_node(grid: Grid, k: int, at: int, cells: int) -> tuple[int, int, int]:
-    """Return where a step from node `at` ends along axis k: the node below, the part of a cell above it, the stride up.
+    """Return where a step from node `at` ends along axis k: lower node, part of a cell above it, stride to the upper.
 
-    The node is -1 where the step leaves the grid; `cells` and the part are in 1 / PER_CELL cells.
+    The lower node is -1 if the step leaves the grid; `cells` and the part are in 1 / PER_CELL cells.
     """
     lower, part = at + (cells >> _BITS), cells & (PER_CELL - 1)
     count, ahead = grid.counts[k], grid.strides[k]
@@ -191,9 +191,10 @@ def _go(
     long: bool,
     corners: Corners,
 ) -> tuple[bool, np.float32]:
-    """Whether a step ends beyond the cells around its own node, at `index` (n,), and w there, by a simplex.
+    """Interpolate w over a simplex at the end of a step from the node at `index` (n,).
 
-    Most steps do: for them this is `_place` and `_interpolate` in one, with hardly a branch.
+    Returns whether the end lies outside the cells around the node, as it does for most steps, and w there. It combines
+    `_place` and `_interpolate` with few branches.
     """
     base, away = np.int64(0), 0
     for k in range(n):
@@ -234,7 +235,7 @@ def _go(
 def _place(
     grid: Grid, index: Integers, ends: NDArray[np.int16], node: int, p: int, own: Part, corners: Corners
 ) -> None:
-    """Find the corners around the end of a node's step under pair p; `index` (n,) is the node's, `ends` all steps'."""
+    """Find the corners around the end of the step from node `index` (n,) under pair p; `ends` has all steps."""
     between, base = 0, np.int64(0)
     corners.size = 0
     for k in range(grid.n):
@@ -273,7 +274,7 @@ def _place(
 
 @njit(**_INLINE)
 def _cell(base: int, corners: Corners) -> int:
-    """Fill in all corners of the cell, whose weights are products, and return how many there are: up to 2^n."""
+    """Fill in the up to 2^n corners of the cell with their multilinear weights, and return their number."""
     size = 1
     corners.offset[0], corners.weight[0] = base, np.float32(1.0)
     for k in range(corners.between):
@@ -287,9 +288,10 @@ def _cell(base: int, corners: Corners) -> int:
 
 @njit(**_INLINE)
 def _simplex(base: int, corners: Corners) -> int:
-    """Fill in the corners of the simplex in the cell, and return how many there are: up to n + 1.
+    """Fill in the up to n + 1 corners of the simplex in the cell, and return their number.
 
-    From the lowest corner, they go up one axis after the other, first the one along which the end is farthest.
+    Starting at the lowest corner, each next one is one up along another axis, in descending order of the end's
+    distance.
     """
     before = np.int64(PER_CELL)
     for c in range(corners.between + 1):
@@ -305,7 +307,7 @@ def _simplex(base: int, corners: Corners) -> int:
 def _interpolate(
     values: Floats, grid: Grid, corners: Corners, rule: Rule, own: Part, long: bool, past: bool
 ) -> np.float32:
-    """W at the end of a step, by the rule of `row_interpolation.interpolate_node`."""
+    """Return w at the end of a step, by the rule of `row_interpolation.interpolate_node`."""
     total, low, high = np.float32(0.0), np.float32(1.0), np.float32(0.0)
     for c in range(corners.size):
         v = values[corners.offset[c]]
@@ -322,9 +324,9 @@ def _interpolate(
             total += corners.weight[c] * v
             reachable += corners.weight[c]
     if rule.jump == np.inf:
-        return total  # past the target, in the first phase
+        return total  # the step passes the target, in the first phase
     if long or reachable == 0.0 or (reachable < rule.enough and not past):
-        return np.float32(0.0)  # a long step has to end where all is reachable and smooth
+        return np.float32(0.0)  # a long step must end where all corners are reachable and smooth
     return total / reachable
 
 
@@ -352,7 +354,7 @@ def _bend(values: Floats, grid: Grid, corners: Corners, own: Part) -> np.float32
 
 @njit(**_INLINE)
 def _ahead(grid: Grid, corners: Corners, k: int) -> np.int64:
-    """Cells from the lower node to the nearest one along axis k: 1, or 0, or round the seam."""
+    """Return the cells from the lower to the nearest node along axis k: 0 or 1, with wrap-around."""
     if 2 * corners.part[k] < PER_CELL:
         return np.int64(0)
     return np.int64(1) if corners.lower[k] + 1 < grid.counts[k] else -corners.lower[k]
@@ -360,5 +362,5 @@ def _ahead(grid: Grid, corners: Corners, k: int) -> np.int64:
 
 @njit(**_INLINE)
 def _owned(offset: np.int64, own: Part) -> np.int64:
-    """Where the value of a node is read: in its copy if it is another part's."""
+    """Return where to read a node's value: in place, or in the copy if another thread owns the node."""
     return offset if own.begin <= offset < own.end else offset + own.copy

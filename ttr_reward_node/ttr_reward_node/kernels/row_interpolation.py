@@ -1,9 +1,9 @@
-"""Interpolation at the ends of the steps from one row, which is the nodes along the last axis. Compiled.
+"""Compiled interpolation at the ends of the steps from one row, i.e. the nodes along the last axis.
 
-Linear interpolation, with two exceptions. In a cell with unreachable corners the others count alone, if they weigh
-enough (much as in `ctrl_rl_core.values.interpolation`), so that no number is made up at the edge of what can be
-reached. Where all is smooth, the curvature is added that linear interpolation leaves out: the smaller of the two
-neighbouring second differences, as in ENO schemes, and none where they differ in sign.
+Interpolation is linear with two exceptions. In a cell with unreachable corners only the reachable ones count, if they
+weigh enough (similar to `ctrl_rl_core.values.interpolation`), so that no value is invented at the edge of the reachable
+set. Where w is smooth, the curvature omitted by linear interpolation is added: the smaller of the two neighbouring
+second differences, as in ENO schemes, and none if their signs differ.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ STENCIL = np.dtype(
     ],
     align=True,
 )
-"""Nodes that the nodes j of a row look at under one pair.
+"""Stencil of the nodes j of a row under one pair.
 
 Fields:
-    size: Number of corners; 0 where the step leaves the grid.
+    size: Number of corners; 0 if the step leaves the grid.
     begin, end: Range of j for which all corners lie within their rows.
-    on_own_row: 1 where more than half of the weight lies on this very row, else 0.
-    long: 1 for a long step, which counts only where all corners are reachable and no jump lies between them, else 0.
+    on_own_row: 1 if more than half of the weight lies on this row itself, else 0.
+    long: 1 for a long step, which counts only if all corners are reachable without a jump between them, else 0.
     curves: Number of curves.
     corner: Corner c is node corner[c] + j.
     corner_shift: Cells from the start to each corner along the row.
     curve_begin, curve_end: Range of j in which each curve is used.
-    curve_node: Four nodes of each curve, less j.
+    curve_node: Four nodes of each curve, minus j.
     corner_weight, curve_weight: Weights of corners and curves.
     discount: exp(-lambda h) of the step.
 """
@@ -59,12 +59,12 @@ _INLINE = {"error_model": "numpy", "forceinline": True}
 
 
 class RowRule(NamedTuple):
-    """Interpolation of one sweep's rows.
+    """Interpolation settings for the rows of one sweep.
 
     Attributes:
-        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
+        jump: Largest relative difference of w across a cell attributed to a slope; infinite: unreachable corners count
             as w = 0.
-        enough: Weight of the corners that must be reachable.
+        enough: Minimum total weight of the reachable corners.
         periodic: Whether the rows are periodic.
         length: Number of nodes in a row.
     """
@@ -76,12 +76,12 @@ class RowRule(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """Interpolation of one sweep over single nodes, or over slabs.
+    """Interpolation settings for one sweep over single nodes or slabs.
 
     Attributes:
-        jump: Largest relative difference of w across a cell that a slope can make; infinite: unreachable corners count
+        jump: Largest relative difference of w across a cell attributed to a slope; infinite: unreachable corners count
             as w = 0.
-        enough: Weight of the corners that must be reachable.
+        enough: Minimum total weight of the reachable corners.
         curved: Whether the curvature is added.
     """
 
@@ -91,11 +91,11 @@ class Rule(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Part of the grid that one thread sweeps. It reads the others' values as they were when the sweep began.
+    """Part of the grid swept by one thread. Values of other parts are read from a copy made before the sweep.
 
     Attributes:
         begin, end: Range of its nodes.
-        copy: Distance from a node's value to its copy from before the sweep.
+        copy: Offset from a node's value to its copy from before the sweep.
     """
 
     begin: int
@@ -105,7 +105,7 @@ class Part(NamedTuple):
 
 @njit(**_INLINE)
 def find_part(grid: Grid, nodes: int, part: int, parts: int) -> tuple[int, int, Part]:
-    """Return the stretch of the first axis that is part number `part` of `parts`, and the part of all the nodes."""
+    """Return the range of part `part` of `parts` along the first axis, and the part of all `nodes` nodes."""
     first, until = part * grid.counts[0] // parts, (part + 1) * grid.counts[0] // parts
     if parts == 1:
         return first, until, Part(0, nodes, 0)
@@ -114,9 +114,9 @@ def find_part(grid: Grid, nodes: int, part: int, parts: int) -> tuple[int, int, 
 
 @njit(**_INLINE)
 def place_turn(grid: Grid, axes: int, turn: int, first: int, until: int, bits: int, index: Integers) -> int:
-    """Put the place of a turn of the sweep into `index` along the first `axes` axes; return the offset of its nodes.
+    """Write the position of turn `turn` of the sweep into `index` along the first `axes` axes; return the node offset.
 
-    Along the first axis it goes from `first` to `until`; bit k of `bits` says to go down axis k.
+    The first axis is traversed from `first` to `until`; axis k is traversed downwards if bit k of `bits` is set.
     """
     rest, offset = turn, 0
     for k in range(axes - 1, -1, -1):
@@ -139,9 +139,9 @@ def place_row(
     stencils: NDArray[Any],
     rows: Integers,
 ) -> int:
-    """Fill in the stencils (pairs,) of the row at `index` (n,), whose first node has the given offset.
+    """Fill in the stencils (pairs,) of the row at `index` (n,), whose first node has offset `offset`.
 
-    Fills `rows` with the offsets of the rows that it looks at, some of them more than once, and returns their number.
+    Also fills `rows` with the offsets of the rows that the stencils read, possibly repeated, and returns their number.
     """
     all_corners, all_curves = slab
     last, along = grid.counts[grid.n - 1], grid.n - grid.n_outer - 1
@@ -193,7 +193,7 @@ def place_row(
 def _range_of_starts(
     grid: Grid, index: Integers, ranges: NDArray[np.int8], stencil: Stencil
 ) -> tuple[np.int64, np.int64]:
-    """Range along the last axis of the nodes whose steps stay on the grid all the way; size 0 if none in this row."""
+    """Return the range of nodes along the last axis whose steps stay on the grid; set size 0 if there are none."""
     begin, end = np.int64(0), grid.counts[grid.n - 1]
     for k in range(grid.n_outer, grid.n):
         low, high = np.int64(ranges[k - grid.n_outer, 0]), np.int64(ranges[k - grid.n_outer, 1])
@@ -208,9 +208,9 @@ def _range_of_starts(
 
 @njit(**_OPTIONS)
 def interpolate_row(values: Floats, stencil: Stencil, rule: RowRule, buffers: Floats, out: Floats) -> None:
-    """Fill `out` (count,) with the discount times w at the end of each step from a row; `buffers` is (3, count).
+    """Fill `out` (count,) with the discounted w at the end of each step from a row; `buffers` (3, count) is scratch.
 
-    Loops over j are kept plain: they become vector code.
+    Loops over j are kept simple so that the compiler vectorises them.
     """
     begin, end, discount, jump = stencil.begin, stencil.end, stencil.discount, rule.jump
     m = end - begin
@@ -269,7 +269,7 @@ def interpolate_row(values: Floats, stencil: Stencil, rule: RowRule, buffers: Fl
 
 @njit(**_OPTIONS)
 def _fill_periodic(values: Floats, stencil: Stencil, rule: RowRule, out: Floats) -> None:
-    """Fill in the nodes of a periodic row from which the step crosses the row's ends."""
+    """Fill in the nodes of a periodic row whose steps cross the row's ends."""
     if rule.periodic:
         for j in range(rule.length):
             if j < stencil.begin or j >= stencil.end:
@@ -278,7 +278,7 @@ def _fill_periodic(values: Floats, stencil: Stencil, rule: RowRule, out: Floats)
 
 @njit(**_INLINE)
 def curvature(v0: float, v1: float, v2: float, v3: float) -> np.float32:
-    """Second difference between the middle two of four nodes, 0 where it is not clear or a node is unreachable."""
+    """Return the second difference between the middle two of four nodes; 0 if ambiguous or a node is unreachable."""
     a, b = v0 - v1 - v1 + v2, v1 - v2 - v2 + v3
     smaller = a if abs(a) < abs(b) else b
     return np.float32(smaller if a * b > 0.0 and v0 > 0.0 and v3 > 0.0 else 0.0)
@@ -286,9 +286,9 @@ def curvature(v0: float, v1: float, v2: float, v3: float) -> np.float32:
 
 @njit(**_INLINE)
 def interpolate_node(values: Floats, stencil: Stencil, rule: RowRule, j: int, past: bool) -> np.float32:
-    """W at the end of the step from node j of a row; 0 if that is unreachable or outside.
+    """Return w at the end of the step from node j of a row; 0 if the end is unreachable or off the grid.
 
-    `past`: the step passes by the target, whose nodes, the only ones with w = 1, do not count.
+    `past`: the step passes the target, whose nodes (the only ones with w = 1) are ignored.
     """
     if (j < stencil.begin or j >= stencil.end) and not rule.periodic:
         return np.float32(0.0)
@@ -326,7 +326,7 @@ def _corner(values: Floats, stencil: Stencil, rule: RowRule, c: int, j: int) -> 
 
 @njit(**_INLINE)
 def _row_of(grid: Grid, index: Integers, part: Part, offsets: Offsets, c: int) -> int:
-    """Offset of the row in which node c lies, of its copy where that is another part's; -1 outside the grid."""
+    """Return the offset of the row of node c, or of its copy if another thread owns it; -1 off the grid."""
     at = offsets.outer[c]
     for k in range(grid.n_outer, grid.n - 1):
         i = index[k] + offsets.shift[c, k - grid.n_outer]

@@ -1,4 +1,4 @@
-"""Steps of the safety solver, and interpolation between the nodes around their ends; compiled."""
+"""Compiled steps of the safety solver, and interpolation between the nodes around their ends."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class SafetyTables(NamedTuple):
 
     Attributes:
         blocks: Offset of each block in the array of values (blocks,).
-        corners: Offset of the first node that a step looks at along the outer axes (blocks, pairs).
-        cells: Cells that a step moves along the inner axes, rounded down (blocks, pairs, n_inner).
-        parts: Fraction of a cell beyond the node below the step's end (blocks, pairs, n).
-        pattern: Offsets of the nodes of a stencil along the outer axes from its first one; without inner axes along
-            all but the last one.
-        inner: Stride, nodes, ghosts below, ghosts above, and whether it is periodic, of each inner axis (n_inner, 5).
-        disturbances: Number of disturbances, the faster index of the pairs.
+        corners: Offset of the first node of a step's stencil along the outer axes (blocks, pairs).
+        cells: Displacement of a step along the inner axes, rounded down [cells] (blocks, pairs, n_inner).
+        parts: Distance of the step's end from the node below, as a fraction of a cell (blocks, pairs, n).
+        pattern: Offsets of the nodes of a stencil from its first one, along the outer axes; without inner axes, along
+            all but the last axis.
+        inner: Stride, nodes, ghosts below, ghosts above, and 1 if periodic, of each inner axis (n_inner, 5).
+        disturbances: Number of disturbances; the disturbance is the fastest-varying index of the pairs.
         width: Nodes of a stencil along each axis: 4 for cubic interpolation, 2 for linear.
     """
 
@@ -42,7 +42,7 @@ class SafetyTables(NamedTuple):
 
 @njit(**_INLINE)
 def cubic_weights(part: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Weights of Lagrange's interpolation between the middle two of four nodes."""
+    """Return the weights of Lagrange interpolation between the middle two of four nodes."""
     one, two, half, sixth = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(1.0 / 6.0)
     p, q = part, one - part
     outside, inside = -p * q * sixth, half * (one + p) * (two - p)
@@ -51,7 +51,7 @@ def cubic_weights(part: np.float32) -> tuple[np.float32, np.float32, np.float32,
 
 @njit(**_INLINE)
 def cubic_products(parts: Floats, b: int, p: int, axes: int, products: Floats) -> int:
-    """Fill in the weights of a cubic stencil along the first `axes` axes, and return how many there are."""
+    """Fill in the weights of a cubic stencil along the first `axes` axes, and return their number."""
     products[0], size = np.float32(1.0), 1
     for k in range(axes):
         w0, w1, w2, w3 = cubic_weights(parts[b, p, k])
@@ -65,7 +65,7 @@ def cubic_products(parts: Floats, b: int, p: int, axes: int, products: Floats) -
 
 @njit(**_INLINE)
 def linear_products(parts: Floats, b: int, p: int, axes: int, products: Floats) -> int:
-    """As `cubic_products`, of a linear stencil."""
+    """Fill in the weights of a linear stencil, as `cubic_products` does for a cubic one."""
     products[0], size = np.float32(1.0), 1
     for k in range(axes):
         part = parts[b, p, k]
@@ -78,7 +78,7 @@ def linear_products(parts: Floats, b: int, p: int, axes: int, products: Floats) 
 
 @njit(**_INLINE)
 def cubic_at(values: Floats, tables: SafetyTables, b: int, p: int, products: Floats) -> np.float32:
-    """Interpolate where a step ends. The four sums along the last axis become one vector."""
+    """Interpolate at the end of a step. The four sums along the last axis are vectorised."""
     corners, parts, pattern = tables.corners, tables.parts, tables.pattern
     last = parts.shape[2] - 1
     size, corner = cubic_products(parts, b, p, last, products), corners[b, p]
@@ -95,7 +95,7 @@ def cubic_at(values: Floats, tables: SafetyTables, b: int, p: int, products: Flo
 
 @njit(**_INLINE)
 def linear_at(values: Floats, tables: SafetyTables, b: int, p: int, products: Floats) -> np.float32:
-    """As `cubic_at`, of a linear stencil."""
+    """Interpolate at the end of a step with a linear stencil, as `cubic_at` does with a cubic one."""
     corners, parts, pattern = tables.corners, tables.parts, tables.pattern
     last = parts.shape[2] - 1
     size, corner = linear_products(parts, b, p, last, products), corners[b, p]

@@ -2,11 +2,12 @@
 
     V(z, t) = min{ l(z, t), max{ r(z, t), max over u, min over d of V(z(h), t + h) } }
 
-with the margin l to what must be avoided and the margin r inside the target. All steps last h. The nodes of a block,
-which differ only along the inner axes of `solvers.steps`, all move alike: planes are added up and shifted as a whole.
-Without inner axes each node has a step of its own.
+with the margin l to what must be avoided and the margin r inside the target. All steps have duration h. The nodes of a
+block differ only along the inner axes of `solvers.steps` and have the same displacement, so whole planes are summed and
+shifted at once. Without inner axes each node has its own step.
 
-Values are kept with ghosts around the grid, copies of its edge or of its other end: no look-up leaves the array.
+Values are stored with ghost nodes around the grid, which copy its edge or, on periodic axes, the opposite end, so no
+look-up leaves the array.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ _INLINE = {**OPTIONS, "forceinline": True}
 
 
 class Margins(NamedTuple):
-    """What bounds the value from above and below at the nodes of the blocks.
+    """Upper and lower bounds of the value at the nodes of the blocks.
 
     Attributes:
         avoid: Margin l (blocks or 1, block size).
         reach: Margin r (blocks or 1, block size); -inf without a target.
-        discount: Weight gamma of the next value in the discounted form; 1 for the plain one.
+        discount: Weight gamma of the next value in the discounted form; 1 for the undiscounted form.
     """
 
     avoid: Floats
@@ -47,7 +48,7 @@ class Margins(NamedTuple):
 
 @njit(**OPTIONS)
 def step_back(values: Floats, out: Floats, margins: Margins, tables: SafetyTables) -> float:
-    """Fill `out` with the values one step earlier than `values`, ghosts of the outer axes left out.
+    """Fill `out` with the values one step earlier than `values`, except the ghosts of the outer axes.
 
     Args:
         values: Values at the nodes and ghosts, flat.
@@ -65,9 +66,9 @@ def step_back(values: Floats, out: Floats, margins: Margins, tables: SafetyTable
 
 @njit(**OPTIONS)
 def _bound(margins: Margins, block: int, at: int, ahead: np.float32) -> np.float32:
-    """Return the value at a node from the best value ahead."""
+    """Return the value at a node from the best value one step ahead."""
     avoid, reach = margins.avoid, margins.reach
-    l = avoid[block if len(avoid) > 1 else 0, at]  # noqa: E741 the literature's letter
+    l = avoid[block if len(avoid) > 1 else 0, at]  # noqa: E741 notation of the literature
     r = reach[block if len(reach) > 1 else 0, at]
     ahead = max(r, ahead)
     gamma = np.float32(margins.discount)
@@ -78,7 +79,7 @@ def _bound(margins: Margins, block: int, at: int, ahead: np.float32) -> np.float
 
 @njit(**OPTIONS)
 def _step_nodes(values: Floats, out: Floats, margins: Margins, tables: SafetyTables) -> float:
-    """Step each node by itself. A control is given up once a disturbance makes it no better than another."""
+    """Update each node separately; skip the remaining disturbances of a control that cannot beat the best one."""
     blocks, pairs, avoid = tables.blocks, tables.corners.shape[1], margins.avoid
     disturbances, width, products = tables.disturbances, tables.width, np.empty(len(tables.pattern), np.float32)
     largest = np.float32(0.0)
@@ -106,7 +107,7 @@ def _step_nodes(values: Floats, out: Floats, margins: Margins, tables: SafetyTab
 
 @njit(**OPTIONS)
 def _step_blocks(values: Floats, out: Floats, margins: Margins, tables: SafetyTables) -> float:
-    """Step whole blocks: planes around the end along the outer axes are added up, and then shifted along the inner."""
+    """Update whole blocks: sum the planes around the end along the outer axes, then shift along the inner axes."""
     blocks, corners, cells, parts, pattern, inner, disturbances, width = tables
     pairs, size, n_inner = corners.shape[1], margins.avoid.shape[1], len(inner)
     n_outer = parts.shape[2] - n_inner
@@ -116,7 +117,7 @@ def _step_blocks(values: Floats, out: Floats, margins: Margins, tables: SafetyTa
         np.empty(size, np.float32),
     )
     weights, products = np.empty(4, np.float32), np.empty(len(pattern), np.float32)
-    # The largest change of each place in the blocks; to find one number here would take longer than all the rest.
+    # Largest change per position within the blocks: reducing to one number here would take longer than everything else.
     changes = np.zeros(size, np.float32)
     begin, end = _core(inner, n_inner, size)
     for b in range(len(blocks)):
@@ -162,8 +163,8 @@ def _step_blocks(values: Floats, out: Floats, margins: Margins, tables: SafetyTa
 
 @njit(**OPTIONS)
 def _bound_block(margins: Margins, block: int, ahead: Floats, out: Floats) -> None:
-    """As `_bound` for all nodes of a block."""
-    l = margins.avoid[block if len(margins.avoid) > 1 else 0]  # noqa: E741 the literature's letter
+    """Apply `_bound` to all nodes of a block."""
+    l = margins.avoid[block if len(margins.avoid) > 1 else 0]  # noqa: E741 notation of the literature
     r = margins.reach[block if len(margins.reach) > 1 else 0]
     gamma = np.float32(margins.discount)
     if gamma == np.float32(1.0):
@@ -187,14 +188,14 @@ def _add_planes(values: Floats, corner: int, pattern: Integers, products: Floats
 
 @njit(**OPTIONS)
 def _shift(given: Floats, out: Floats, weights: Floats, at: int, stride: int) -> None:
-    """Fill `out` with the weighted sum of the nodes of a block from node `at` on, `stride` apart."""
+    """Fill `out` with the weighted sum of a block's nodes at distance `stride`, starting at node `at`."""
     for c in range(0, len(weights), 2):
         _add_two(given[at + c * stride :], given[at + (c + 1) * stride :], weights[c : c + 2], out, c > 0)
 
 
 @njit(**OPTIONS)
 def _add_two(one: Floats, two: Floats, weights: Floats, out: Floats, add: bool) -> None:
-    """Fill `out` with a weighted sum, or add it."""
+    """Write the weighted sum of two arrays to `out`, or add it if `add` is true."""
     w1, w2 = weights[0], weights[1]
     if add:
         for j in range(len(out)):
@@ -206,7 +207,7 @@ def _add_two(one: Floats, two: Floats, weights: Floats, out: Floats, add: bool) 
 
 @njit(**_INLINE)
 def _core(inner: Integers, axes: int, size: int) -> tuple[int, int]:
-    """Range of a block without the ghosts before and after it along its first `axes` axes."""
+    """Return the range of a block that excludes the ghosts along its first `axes` axes."""
     begin, end = 0, size
     for i in range(axes):
         begin += inner[i, 0] * inner[i, 2]
@@ -216,7 +217,7 @@ def _core(inner: Integers, axes: int, size: int) -> tuple[int, int]:
 
 @njit(**OPTIONS)
 def _fill_ghosts(block: Floats, inner: Integers) -> None:
-    """Copy a block's edges, or along a periodic axis its other end, into its ghosts."""
+    """Copy a block's edges, or the opposite ends along periodic axes, into its ghosts."""
     for i in range(len(inner)):
         stride, count, below, above = inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3]
         length = stride * (count + below + above)

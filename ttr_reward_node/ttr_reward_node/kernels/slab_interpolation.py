@@ -1,7 +1,7 @@
-"""Compiled interpolation where the steps from all nodes of a slab end, by the rule of `row_interpolation`.
+"""Compiled interpolation at the ends of the steps from all nodes of a slab, by the rule of `row_interpolation`.
 
-All loops over the nodes are branch-free, so that the compiler vectorises them. The rule's special cases, such as
-unreachable corners, are computed for all nodes and selected afterwards.
+All loops over the nodes are branch-free so that the compiler vectorises them. Special cases, such as unreachable
+corners, are computed for all nodes and selected afterwards.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from ttr_reward_node.kernels.stencil import PER_CELL, Floats, Grid
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
 _INLINE = {**_OPTIONS, "forceinline": True}
 _CELL = np.float32(1.0 / PER_CELL)
-_WHOLE = np.float32(0.9999)  # weight of the reachable corners from which on all are
+_WHOLE = np.float32(0.9999)  # weight of the reachable corners above which all count as reachable
 
 
 class SlabBuffers(NamedTuple):
-    """Scratch memory for one slab, each (nodes of a slab,).
+    """Scratch memory for one slab, each array (nodes of a slab,).
 
     Attributes:
         total: Weighted sum of w.
         reach: Weight of the reachable corners.
-        low, high: Least w of the reachable corners, and the largest.
-        mask: 1 where a step stays on the grid, else 0.
+        low, high: Smallest and largest w of the reachable corners.
+        mask: 1 if the step stays on the grid, else 0.
         bend: Curvature.
     """
 
@@ -57,13 +57,13 @@ def interpolate_slab(
     Args:
         values: w at all nodes.
         grid: Axes.
-        offset: First node of the slab at which the steps begin.
-        own: Part of the grid that is being swept.
-        stencil: Nodes to look at.
-        rule: Interpolation.
+        offset: First node of the slab in which the steps begin.
+        own: Part of the grid being swept.
+        stencil: Stencil of the slab.
+        rule: Interpolation settings.
         work: Scratch memory.
-        smooth: Whether every node of the slabs that count is reachable.
-        out: Values to fill in.
+        smooth: Whether every node of the slabs in the stencil is reachable.
+        out: Output.
     """
     total, reach, low, high, mask, bend = work.total, work.reach, work.low, work.high, work.mask, work.bend
     size, discount = len(out), stencil.discount
@@ -166,7 +166,7 @@ def _sum_span_reach(
 
 @njit(**_INLINE)
 def _between(line: Floats, stride: int, upper: np.float32) -> None:
-    """Interpolate between each node and the one a stride further, in place; the last ones do not count."""
+    """Interpolate in place between each node and the one `stride` ahead; the last `stride` nodes are left unchanged."""
     lower = np.float32(1.0) - upper
     m = len(line) - stride
     ahead = line[stride:]
@@ -190,7 +190,7 @@ def _largest(line: Floats, stride: int) -> None:
 
 @njit(**_OPTIONS)
 def _fill_bend(values: Floats, grid: Grid, own: Part, stencil: SlabStencil, work: SlabBuffers) -> None:
-    """Fill in the curvature that linear interpolation leaves out, taken at the nearest nodes of the other axes."""
+    """Fill in the curvature omitted by linear interpolation, at the nearest nodes of the other axes."""
     bend = work.bend
     size = len(bend)
     bend[:] = 0.0
@@ -221,7 +221,7 @@ def _fill_bend(values: Floats, grid: Grid, own: Part, stencil: SlabStencil, work
             low, high = max(0, -first), min(size, size - first - 3 * stride)
             begin, end = max(1 - lower, 0), count - max(lower + 2, 0)
             at0 = _owned(slab, own) + first
-            for block in range(0, size, stride * count):  # index k is the slowest in a block
+            for block in range(0, size, stride * count):  # index k varies slowest in a block
                 a, b = max(low, block + begin * stride), min(high, block + end * stride)
                 if a < b:
                     _add_curve(values, at0, at0 + stride, at0 + 2 * stride, at0 + 3 * stride, a, b, weight, bend)
@@ -241,7 +241,7 @@ def _add_curve(
 
 @njit(**_INLINE)
 def _curvature(v0: np.float32, v1: np.float32, v2: np.float32, v3: np.float32) -> np.float32:
-    """As `row_interpolation.curvature`, without branches."""
+    """Return `row_interpolation.curvature`, computed without branches."""
     a, b = v0 - v1 - v1 + v2, v1 - v2 - v2 + v3
     smaller = a if abs(a) < abs(b) else b
     return smaller if (a * b > 0.0) & (v0 > 0.0) & (v3 > 0.0) else np.float32(0.0)
@@ -249,7 +249,7 @@ def _curvature(v0: np.float32, v1: np.float32, v2: np.float32, v3: np.float32) -
 
 @njit(**_INLINE)
 def _ahead(grid: Grid, stencil: SlabStencil, k: int) -> np.int64:
-    """Cells from the lower node to the nearest one along axis k: 1, or 0, or round the seam."""
+    """Return the cells from the lower to the nearest node along axis k: 0 or 1, with wrap-around."""
     if 2 * stencil.part[k] < PER_CELL:
         return np.int64(0)
     return np.int64(1) if k >= grid.n_outer or stencil.lower[k] + 1 < grid.counts[k] else -stencil.lower[k]
@@ -257,5 +257,5 @@ def _ahead(grid: Grid, stencil: SlabStencil, k: int) -> np.int64:
 
 @njit(**_INLINE)
 def _owned(offset: np.int64, own: Part) -> np.int64:
-    """Where a slab is read: in its copy if it is another part's."""
+    """Return where to read a slab: in place, or in the copy if another thread owns it."""
     return offset if own.begin <= offset < own.end else offset + own.copy

@@ -1,8 +1,8 @@
-"""Nodes that a whole slab looks at under one pair, where rows are short. Compiled.
+"""Compiled stencils of a whole slab under one pair, for short rows.
 
-The nodes of a slab lie in a row in memory, and a displacement of whole cells along the inner axes is one offset in
-it. So a slab of 20 x 20 nodes is one row of 400; what a step would carry over an edge of the slab is masked. And the
-2^n corners of a cell are summed axis by axis: the outer ones first, then two neighbours along each inner axis.
+The nodes of a slab are contiguous in memory, and a displacement by whole cells along the inner axes is a single offset.
+So a slab of 20 x 20 nodes is one row of 400; nodes whose step would cross an edge of the slab are masked. The 2^n
+corners of a cell are summed axis by axis: first the outer axes, then two neighbours along each inner axis.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ttr_reward_node.kernels.row_interpolation import Part
 from ttr_reward_node.kernels.stencil import MOST_AXES, MOST_CORNERS, PER_CELL, Floats, Grid, Integers
 
 _OPTIONS = {"error_model": "numpy"}
-_BITS = 11  # PER_CELL is 2 to this power: a shift and a mask split a displacement
-_ROUNDED = 3  # [1 / PER_CELL cells]: a step that was cut short at the edge ends there only to rounding
+_BITS = 11  # PER_CELL = 2 ** _BITS, so a shift and a mask split a displacement
+_ROUNDED = 3  # rounding error of a step truncated at the edge [1 / PER_CELL cells]
 _CELL = np.float32(1.0 / PER_CELL)
-_ALL = np.float32(0.99)  # weight of its own node with which a step leads nowhere
+_ALL = np.float32(0.99)  # weight of the start node above which a step leads nowhere
 LEAST_PART = 3
-"""Way from a plane of the grid [1 / PER_CELL cells] below which there is no curvature to add."""
+"""Distance to a plane of the grid [1 / PER_CELL cells] below which no curvature is added."""
 
 SLAB_STENCIL = np.dtype(
     [
@@ -39,17 +39,17 @@ SLAB_STENCIL = np.dtype(
     ],
     align=True,
 )
-"""Nodes that the nodes of a slab look at under one pair.
+"""Stencil of a slab under one pair.
 
 Fields:
-    size: Number of slabs that count; 0 where the step leaves the grid.
-    corner, weight: Offset of each of these slabs, and its weight.
-    lower: Lower node along each axis: its index on an outer one, cells from the start on an inner one.
-    part: Way from the lower node along each axis [1 / PER_CELL cells].
-    begin, end: Range along each inner axis of the nodes whose steps stay on the grid.
-    own: Weight of the node at which the step begins among the corners.
-    discount: exp(-lambda h) of the step, as in `kernels.sweep`.
-    long: 1 for a long step, which counts only where all corners are reachable and no jump lies between them, else 0.
+    size: Number of slabs in the stencil; 0 if the step leaves the grid.
+    corner, weight: Offset and weight of each of these slabs.
+    lower: Lower node along each axis: its index on an outer axis, cells from the start on an inner one.
+    part: Distance from the lower node along each axis [1 / PER_CELL cells].
+    begin, end: Range of the nodes along each inner axis whose steps stay on the grid.
+    own: Weight of the start node among the corners.
+    discount: Discount exp(-lambda h) of the step, as in `kernels.sweep`.
+    long: 1 for a long step, which counts only if all corners are reachable without a jump between them, else 0.
 """
 
 SlabStencil = Any
@@ -69,12 +69,12 @@ def place_slab(
     """Fill in the stencil of the slab at `index` (n,) for one pair's displacement `move` (n,) [1 / PER_CELL cells].
 
     Args:
-        grid: Axes; no inner one is periodic.
+        grid: Axes; no inner axis is periodic.
         index: Index of the slab along the outer axes (n,).
-        own: Part of the grid that is being swept.
+        own: Part of the grid being swept.
         move: Displacement (n,) [1 / PER_CELL cells].
-        ranges: Lowest and highest cell along each inner axis that the step comes to (inner, 2).
-        discount: exp(-lambda h) of the step.
+        ranges: Lowest and highest cell of the step's path along each inner axis (inner, 2).
+        discount: Discount exp(-lambda h) of the step.
         stencil: Record to fill in.
     """
     size, at_home = 1, np.float32(1.0)
@@ -127,7 +127,7 @@ def place_slab(
 
 @njit(**_OPTIONS)
 def fill_mask(grid: Grid, begin: Integers, end: Integers, mask: Floats) -> None:
-    """Fill `mask` (nodes of a slab,) with 1 where every inner axis is within its range (n,), 0 elsewhere."""
+    """Fill `mask` (nodes of a slab,) with 1 for nodes within the range of every inner axis, else 0."""
     last = grid.counts[grid.n - 1]
     for row in range(len(mask) // last):
         rest, inside = row, True

@@ -1,7 +1,7 @@
-"""One sweep of the semi-Lagrangian scheme over slabs whose rows are short: each slab is updated at once. Compiled.
+"""Compiled semi-Lagrangian sweep for grids with short rows: whole slabs are updated at once.
 
-The rule is that of `kernels.sweep`. In six dimensions a row has a dozen or two nodes, too few to be worth its
-stencils; a slab has hundreds, and all of them take the same steps.
+The update is that of `kernels.sweep`. In six dimensions a row has one or two dozen nodes, too few to pay for its
+stencils; a slab has hundreds of nodes, and all of them take the same steps.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _CELL = np.float32(1.0 / PER_CELL)
 
 
 class SlabHistory(NamedTuple):
-    """Times at which slabs were done and changed: one is done again only when one that it looks at has changed.
+    """Times of the slabs' updates and changes: a slab is updated again only if a slab in its stencils has changed.
 
     Attributes:
         changed, seen: Last change and last update of each slab (slabs,), in ticks of its part's clock; 0 for none.
         clocks: Number of updates and changes so far in each part (parts,).
-        changed_in: Last sweep in which each slab changed (slabs,); behind them, where there are two parts, a copy of
-            all from before the sweep.
-        reachable: Number of reachable nodes of each slab, with a copy likewise.
-        open: Number of nodes of each slab that a sweep may change (slabs,).
+        changed_in: Last sweep in which each slab changed (slabs,); with two parts, followed by a copy from before the
+            sweep.
+        reachable: Number of reachable nodes in each slab, followed by a copy likewise.
+        open: Number of nodes in each slab that a sweep may change (slabs,).
     """
 
     changed: Integers
@@ -47,7 +47,7 @@ class SlabHistory(NamedTuple):
 def sweep_slabs(
     nodes: Nodes, grid: Grid, steps: StepTable, history: SlabHistory, settings: SweepSettings, part: int, parts: int
 ) -> tuple[np.float32, int]:
-    """Update every slab of a part that looks at one which has changed; arguments and results as `sweep.sweep`."""
+    """Update every slab of a part with a changed slab in its stencils; arguments and results as in `sweep.sweep`."""
     bits = settings.bits
     slabs, pairs = steps.codes.shape
     values = nodes.values
@@ -88,7 +88,7 @@ def sweep_slabs(
                 at = stencil.corner[c] // size
                 if at < slabs:
                     fresh |= changed[at] > seen[here]
-                else:  # a copy: what changed in the sweep before this one is news
+                else:  # a copy: changes of the previous sweep are new here
                     fresh |= changed_in[at] == settings.number - 1
         if not fresh:
             continue
@@ -110,7 +110,7 @@ def sweep_slabs(
         reachable[here] = there
         largest = max(largest, change)
         if change > quiet:
-            clocks[part] += 1  # later than `seen`: a slab that looks at itself is done again
+            clocks[part] += 1  # later than `seen`, so that a slab that reads itself is updated again
             changed[here] = clocks[part]
             changed_in[here] = settings.number
     return largest / settings.rate, done
@@ -118,7 +118,7 @@ def sweep_slabs(
 
 @njit(**_OPTIONS)
 def _apply_outcomes(nodes: Nodes, grid: Grid, offset: int, stencils: NDArray[Any], rule: Rule, found: Floats) -> None:
-    """Put in what target and obstacles make of the steps from the near nodes of the slab at `offset`."""
+    """Apply the effects of target and obstacles to the steps from the near nodes of the slab at `offset`."""
     values, flags, outcomes, row_near = nodes
     pairs, size = found.shape
     last = grid.counts[grid.n - 1]
@@ -142,9 +142,9 @@ def _apply_outcomes(nodes: Nodes, grid: Grid, offset: int, stencils: NDArray[Any
 
 @njit(**_OPTIONS)
 def _past(values: Floats, grid: Grid, offset: int, j: int, stencil: SlabStencil, rule: Rule) -> np.float32:
-    """Discounted w at the end of a step that passes by the target, whose nodes, the only ones with w = 1, do not count.
+    """Return the discounted w at the end of the step from node j of a slab, ignoring target nodes (w = 1).
 
-    Of node j of the slab at `offset`; 0 where the step leaves the grid.
+    For steps that pass the target; `offset` is the slab's. 0 if the step leaves the grid.
     """
     rest, inner, shift, lines = j, 0, np.int64(0), 1
     for k in range(grid.n - 1, grid.n_outer - 1, -1):
@@ -181,7 +181,7 @@ def _past(values: Floats, grid: Grid, offset: int, j: int, stencil: SlabStencil,
 def _update(
     nodes: Nodes, offset: int, found: Floats, controls: int, grow: bool, jump: np.float32, work: SlabBuffers
 ) -> tuple[np.float32, int]:
-    """Give the nodes of a slab their new values: the largest relative change, and the number of reachable nodes."""
+    """Update the nodes of a slab; return the largest relative change and the number of reachable nodes."""
     pairs, size = found.shape
     news, best = work.total, work.reach
     news[:] = 1.0

@@ -1,11 +1,11 @@
-"""The nodes around the end of each step, their weights, and the curvature that linear interpolation misses; compiled.
+"""Compiled stencils: nodes around the end of each step, their weights, and the curvature for linear interpolation.
 
-All nodes of a slab, which have the same outer state of `solvers.steps`, take the same steps. So a step ends at the
-same place between the nodes for all of them: offsets and weights are found once per slab, and the sweep only adds up
+All nodes of a slab have the same outer state of `solvers.steps`, and take the same steps. So a step ends at the same
+position between nodes for all of them: offsets and weights are computed once per slab, and the sweep only sums
 products.
 
-The tables are NumPy records, because Numba counts references for every array that it takes out of a tuple, which costs
-more than the arithmetic; fields of a record are plain memory.
+The tables are NumPy records because Numba counts references for every array taken out of a tuple, which costs more than
+the arithmetic; fields of a record are plain memory.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 _OPTIONS = {"error_model": "numpy"}
 MOST_CORNERS, MOST_AXES = 64, 7
-"""Most corners of a cell, in six dimensions; most axes, with the dummy axis of a system without inner ones."""
+"""Maximum number of corners of a cell (six axes), and of axes (six, and the dummy axis without inner axes)."""
 PER_CELL = 2048
-"""Displacements are whole numbers of this part of a cell: 16 bits hold up to 15 cells."""
+"""Displacements are stored in units of 1 / PER_CELL cells: 16 bits hold up to 15 cells."""
 _CELL = 1.0 / PER_CELL
-_ALL = 0.99  # weight of its own node with which a step leads nowhere
+_ALL = 0.99  # weight of the start node above which a step leads nowhere
 
 GRID = np.dtype(
     [
@@ -34,8 +34,8 @@ GRID = np.dtype(
     ],
     align=True,
 )
-"""The n axes in the layout's order, n_outer outer ones first; strides are in nodes, and
-periodic is 0 or 1. The last axis is an inner one."""
+"""The n axes in the layout's order, the n_outer outer axes first; strides are in nodes, periodic is 0 or 1. The last
+axis is an inner one."""
 
 OFFSETS = np.dtype(
     [
@@ -50,9 +50,9 @@ OFFSETS = np.dtype(
 """Nodes around the end of one pair's step from a slab.
 
 Fields:
-    number: Number of corners, or of curves; 0 where the step leaves the grid.
-    own: Weight of the node itself at which the step begins, which is no corner any more; the others' were 1 less this.
-    outer: Offset of each node's slab, in nodes.
+    number: Number of corners, or of curves; 0 if the step leaves the grid.
+    own: Weight of the start node, which is excluded from the corners; the weights of the others sum to 1 without it.
+    outer: Offset of each node's slab [nodes].
     shift: Cells from the start to each node along each inner axis.
     weight: Weight of each corner, or of each curve.
 """
@@ -60,7 +60,7 @@ Fields:
 Grid = Any
 """Record of the dtype `GRID`."""
 Offsets = Any
-"""Record, or array of records, of the dtype `OFFSETS`."""
+"""Record or array of records of the dtype `OFFSETS`."""
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
@@ -69,13 +69,14 @@ class StepTable(NamedTuple):
     """Steps of each slab under each pair of disturbance and control, as in `solvers.steps.Steps`.
 
     Attributes:
-        codes: Number of each step's duration (slabs, pairs); 0 where there is no step.
+        codes: Code of each step's duration (slabs, pairs); 0 if there is no step.
         ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
-        ranges: Lowest and highest cell along each inner axis that a step comes to on its way (slabs, pairs, inner, 2).
-        long: Whether the steps of each pair are long (pairs,): such a step must end where all is known and smooth.
-        controls: Number of controls, the faster index of the pairs.
-        discounts: exp(-rate h) by the duration's number; 0 at number 0.
-        durations: Durations h by their number [s].
+        ranges: Lowest and highest cell of a step's path along each inner axis (slabs, pairs, inner, 2).
+        long: Whether the steps of each pair are long (pairs,): such a step must end where all corners are reachable and
+            smooth.
+        controls: Number of controls; the control is the fastest-varying index of the pairs.
+        discounts: Discount exp(-rate h) by duration code; 0 for code 0.
+        durations: Duration h by code [s].
     """
 
     codes: NDArray[np.uint16]
@@ -88,11 +89,11 @@ class StepTable(NamedTuple):
 
 
 class SlabOffsets(NamedTuple):
-    """Nodes around the steps' ends from one slab, one record a pair.
+    """Nodes around the ends of the steps from one slab, one record per pair.
 
     Attributes:
-        corners: The 2^n or fewer corners (pairs,) of the cell in which each step ends. The second half repeats the
-            first, a cell further along the last axis, wherever that axis is interpolated.
+        corners: Up to 2^n corners (pairs,) of the cell in which each step ends. If the last axis is interpolated, the
+            second half repeats the first, one cell further along it.
         curves: Four nodes in a line (pairs,) along each axis on which the step ends between nodes: nodes 4 q to 4 q + 3
             belong to curve q.
     """
@@ -119,7 +120,7 @@ def make_grid(counts: Integers, periodic: NDArray[np.bool_], n_outer: int) -> Gr
 
 @njit(**_OPTIONS)
 def place_corners(grid: Grid, index: Integers, move: NDArray[np.int16], corners: Offsets) -> None:
-    """Fill in one pair's corners for the slab at `index` (n,) and its displacement `move` (n,) [1 / PER_CELL cells]."""
+    """Fill in one pair's corners for the slab at `index` (n,) and the displacement `move` (n,) [1 / PER_CELL cells]."""
     size = 1
     corners.number, corners.outer[0], corners.weight[0] = 0, 0, 1.0
     for k in range(grid.n):
@@ -133,7 +134,7 @@ def place_corners(grid: Grid, index: Integers, move: NDArray[np.int16], corners:
             if grid.periodic[k]:
                 lower, upper = lower % grid.counts[k], upper % grid.counts[k]
             else:
-                # A step that was cut short at the edge ends there only to rounding.
+                # A step truncated at the edge ends there only up to rounding.
                 if lower == -1 and upper_weight > 0.999:
                     lower, upper_weight = 0, 0.0
                 if lower == grid.counts[k] - 1 and upper_weight < 0.001:
@@ -163,10 +164,10 @@ def place_corners(grid: Grid, index: Integers, move: NDArray[np.int16], corners:
 
 @njit(**_OPTIONS)
 def _without_own(grid: Grid, index: Integers, size: int, corners: Offsets) -> int:
-    """Take the node at which the step begins out of the corners; return how many are left, 0 if none weighs much.
+    """Exclude the start node from the corners; return the number of remaining corners, 0 if they weigh too little.
 
-    A step of less than a cell, which a game may need, ends in a cell of its own node: w = D (a w + b) is w = D b / (1 -
-    D a), which makes that node neither a reason to call itself unreachable nor slow to converge.
+    A step of less than a cell, which a game may need, ends in a cell of its start node. Its update w = D (a w + b) is
+    solved for w = D b / (1 - D a), so the node does not depend on itself to be reachable and converges quickly.
     """
     corners.own = np.float32(0.0)
     here = np.int64(0)
@@ -193,7 +194,7 @@ def _without_own(grid: Grid, index: Integers, size: int, corners: Offsets) -> in
 
 @njit(**_OPTIONS)
 def place_curves(grid: Grid, index: Integers, move: NDArray[np.int16], curves: Offsets) -> None:
-    """Fill in one pair's curves, as `place_corners`; an axis on which four nodes do not fit has none."""
+    """Fill in one pair's curves, as `place_corners` does; an axis on which four nodes do not fit has none."""
     n = grid.n
     curves.number = 0
     for k in range(n):
@@ -207,7 +208,7 @@ def place_curves(grid: Grid, index: Integers, move: NDArray[np.int16], curves: O
             continue
         q = curves.number
         curves.number += 1
-        # Linear interpolation between the middle two leaves out the second difference times this weight.
+        # Linear interpolation between the middle two nodes omits the second difference times this weight.
         curves.weight[q] = -0.5 * part * (1.0 - part)
         for i in range(4):
             curves.outer[4 * q + i] = 0

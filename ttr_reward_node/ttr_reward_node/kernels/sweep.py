@@ -1,7 +1,7 @@
-"""One sweep of the semi-Lagrangian scheme over the nodes, in place, compiled once for all systems.
+"""In-place sweep of the semi-Lagrangian scheme over the nodes, compiled once for all systems.
 
-The values are w = exp(-lambda phi), which is Kruzhkov's transform v = 1 - w seen from the other end: 1 in the target,
-exactly 0 where nothing leads to it, and in single precision as exact at large times as at small ones. A node becomes
+The values are w = exp(-lambda phi), the complement of Kruzhkov's transform v = 1 - w: 1 in the target, exactly 0 where
+the target cannot be reached, and equally accurate at large and small times in single precision. The update of a node is
 
     w(x) = min over d, max over u of exp(-lambda h) w(x(h)),    phi(x) = max over d, min over u of h + phi(x(h)),
 
@@ -40,15 +40,14 @@ from ttr_reward_node.kernels.stencil import (
 
 _OPTIONS = {"error_model": "numpy"}
 _INLINE = {"error_model": "numpy", "forceinline": True}
-TINY = np.float32(1e-30)  # numbers below are slow, and mean unreachable
+TINY = np.float32(1e-30)  # smaller values count as unreachable, and avoid slow denormal arithmetic
 
 
 class Nodes(NamedTuple):
     """All nodes of the grid, flat, in the layout's order.
 
     Attributes:
-        values: w at the nodes (nodes,), changed by the sweep; behind them, where there are two parts, a copy of all
-            from before the sweep.
+        values: w at the nodes (nodes,), updated by the sweep; with two parts, followed by a copy from before the sweep.
         flags: FREE, NEAR or FIXED at the nodes (nodes,).
         outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs), from `find_outcomes`.
         row_near: Number of near nodes before each row (rows + 1,).
@@ -61,14 +60,14 @@ class Nodes(NamedTuple):
 
 
 class RowHistory(NamedTuple):
-    """Times at which rows were done and changed: a row is done again only when a row it looks at has changed.
+    """Times of the rows' updates and changes: a row is updated again only if a row in its stencils has changed.
 
     Attributes:
         changed: Last change of each row (rows,), in ticks of its part's clock.
         seen: Last update of each row (rows,), in ticks of its part's clock; 0 for none.
         clocks: Number of updates and changes so far in each part (parts,).
-        changed_in: Last sweep in which each row changed (rows,); behind them, where there are two parts, a copy of all
-            from before the sweep.
+        changed_in: Last sweep in which each row changed (rows,); with two parts, followed by a copy from before the
+            sweep.
     """
 
     changed: Integers
@@ -78,17 +77,18 @@ class RowHistory(NamedTuple):
 
 
 class SweepSettings(NamedTuple):
-    """Settings of the interpolation in one phase of the solver.
+    """Settings of one sweep in a phase of the solver.
 
     Attributes:
         rate: Rate lambda of the transform [1/s].
-        jump: Difference of phi across a cell that no slope makes [s]: no curvature is added to it.
-            Infinite: unreachable corners count as w = 0.
-        enough: Weight of the corners that must be reachable for a step to count.
-        quiet: Largest change of phi that does not wake the rows that look at this one [s].
+        jump: Difference of phi across a cell above which it counts as a jump, without curvature [s]. Infinite:
+            unreachable corners count as w = 0.
+        enough: Minimum total weight of the reachable corners for a step to count.
+        quiet: Largest change of phi that does not trigger updates of the rows that read this one [s].
         curved: Whether the curvature is added.
         number: Number of this sweep, from 1.
-        bits: Direction of the sweep: bit k says to go down axis k, where the motion does not say which way to go.
+        bits: Sweep direction: axis k is traversed downwards if bit k is set, unless the motion along it determines the
+            direction.
     """
 
     rate: float
@@ -105,8 +105,8 @@ class _Row(NamedTuple):
 
     Attributes:
         offset: Index of its first node.
-        near: Index of the near node before the first one that is met.
-        down: Whether it is done from its last node to its first.
+        near: Index of the near node before the first one in the row.
+        down: Whether the row is traversed from its last node to its first.
     """
 
     offset: int
@@ -115,11 +115,11 @@ class _Row(NamedTuple):
 
 
 class _Game(NamedTuple):
-    """Rule by which a node's new value follows from those of the pairs.
+    """Rule that combines the values of the pairs into the new value of a node.
 
     Attributes:
-        controls: Number of controls, the faster index of the pairs.
-        grow: Whether w never falls, except to 0.
+        controls: Number of controls; the control is the fastest-varying index of the pairs.
+        grow: Whether w never decreases, except to 0.
     """
 
     controls: int
@@ -127,10 +127,10 @@ class _Game(NamedTuple):
 
 
 class _Workspace(NamedTuple):
-    """Tables and buffers of one row, allocated once a sweep.
+    """Tables and buffers of one row, allocated once per sweep.
 
     Attributes:
-        stencils: Nodes that the row looks at (pairs,), records of the dtype `STENCIL`.
+        stencils: Stencils of the row (pairs,), records of the dtype `STENCIL`.
         buffers: Scratch rows (3, count).
         found: Discounted w at the end of each step (pairs, count).
         own: Pairs whose steps end on the row itself (pairs,).
@@ -146,20 +146,20 @@ class _Workspace(NamedTuple):
 def sweep(
     nodes: Nodes, grid: Grid, steps: StepTable, history: RowHistory, settings: SweepSettings, part: int, parts: int
 ) -> tuple[np.float32, int]:
-    """Update every row (the nodes along the last axis) of a part that looks at a row which has changed.
+    """Update every row of a part (nodes along the last axis) with a changed row in its stencils.
 
     Args:
-        nodes: All nodes; the values of the part's are changed.
+        nodes: All nodes; the values in the part are updated in place.
         grid: Axes in the layout's order.
         steps: Steps of each slab under each pair.
-        history: Times of the rows' updates and changes, brought up to date.
+        history: Times of the rows' updates and changes, updated in place.
         settings: Settings of the sweep.
-        part: Number of the part, from 0: a stretch of the first axis.
+        part: Index of the part, from 0: a range of the first axis.
         parts: Number of parts.
 
     Returns:
-        The largest change of phi [s], infinite where a node became reachable or unreachable; and the number of rows
-        that were updated.
+        The largest change of phi [s], infinite if a node became reachable or unreachable; and the number of updated
+        rows.
     """
     n, last, bits = grid.n, grid.counts[grid.n - 1], settings.bits
     slabs, pairs = steps.codes.shape
@@ -212,7 +212,7 @@ def sweep(
                 row = rows[i] // last
                 if row < all_rows:
                     fresh |= changed[row] > seen[here]
-                else:  # a copy: what changed in the sweep before this one is news
+                else:  # a copy: changes of the previous sweep are new here
                     fresh |= changed_in[row] == settings.number - 1
             if not fresh:
                 continue
@@ -223,7 +223,7 @@ def sweep(
             change = _update_row(nodes, _Row(offset, near, down[n - 1]), work, rule, game)
             largest = max(largest, change)
             if change > quiet:
-                clocks[part] += 1  # later than `seen`: a row that looks at itself is done again
+                clocks[part] += 1  # later than `seen`, so that a row that reads itself is updated again
                 changed[here] = clocks[part]
                 changed_in[here] = settings.number
     return largest / settings.rate, done
@@ -231,7 +231,7 @@ def sweep(
 
 @njit(**_OPTIONS)
 def _directions(grid: Grid, ends: NDArray[np.int16], corners: Offsets, bits: int, down: NDArray[np.bool_]) -> None:
-    """Go along each inner axis against the motion, so that a node is done after those it depends on."""
+    """Set the direction along each inner axis against the motion, so that a node follows those that it depends on."""
     for k in range(grid.n_outer, grid.n):
         ahead, way = np.float32(0.0), np.float32(0.0)
         for p in range(len(ends)):
@@ -248,7 +248,7 @@ def _update_row(nodes: Nodes, row: _Row, work: _Workspace, rule: RowRule, game: 
     stencils, buffers, found, own = work
     offset, near, down = row
     pairs, last = found.shape
-    # Steps along the row use the values just found there. A game needs all pairs at once, which takes longer.
+    # Steps along the row use its new values. A game needs all pairs at once, which takes longer.
     n_own = 0
     for p in range(pairs):
         if stencils[p].size == 0:
@@ -290,9 +290,9 @@ def _update_row(nodes: Nodes, row: _Row, work: _Workspace, rule: RowRule, game: 
 
 @njit(**_INLINE)
 def change_of(old: np.float32, new: np.float32, jump: np.float32) -> np.float32:
-    """Change of a node's value as that of phi, times the rate; infinite if it becomes reachable or unreachable.
+    """Return the change of a node's phi times the rate; infinite if the node becomes reachable or unreachable.
 
-    The first phase only asks whether w is large: there the change is that of w itself.
+    In the first phase (`jump` infinite) it is the change of w itself, since only large w matter there.
     """
     if jump == np.inf:
         return abs(new - old)
@@ -301,7 +301,7 @@ def change_of(old: np.float32, new: np.float32, jump: np.float32) -> np.float32:
 
 @njit(**_OPTIONS)
 def _min_max_row(found: Floats, controls: int, news: Floats, best: Floats) -> None:
-    """Fill `news` with the least over the disturbances of the most over the controls, along a row."""
+    """Fill `news` with the minimum over disturbances of the maximum over controls, along a row."""
     pairs, last = found.shape
     news[:] = 1.0
     for first in range(0, pairs, controls):

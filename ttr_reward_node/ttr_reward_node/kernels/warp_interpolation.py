@@ -1,12 +1,12 @@
-"""Interpolation at the end of a step from a node, on a GPU or on the CPU; NVIDIA Warp.
+"""Interpolation at the end of a step from a node with NVIDIA Warp, on a GPU or the CPU.
 
-The rules are those of `kernels.row_interpolation` (rows of nodes alike) and `kernels.node_sweep` (each node has its own
-steps). Corners are not stored: neighbouring threads work on the same slab, so what they compute again is the same for
-all of them, and costs less than reading a table would.
+The rules are those of `kernels.row_interpolation` (nodes of a row alike) and `kernels.node_sweep` (each node has its
+own steps). Corners are not stored: neighbouring threads work on the same slab, so recomputing them costs less than
+reading a table.
 """
 
-# Warp reads annotations as objects: no `from __future__ import annotations` here. To it, `int(0)` is a variable and `0`
-# a constant.
+# Warp reads annotations as objects: no `from __future__ import annotations` here. In Warp, `int(0)` declares a variable,
+# `0` a constant.
 # ruff: noqa: RUF046, UP018
 from collections.abc import Callable
 from functools import cache
@@ -16,13 +16,13 @@ import warp as wp
 
 from ttr_reward_node.kernels.stencil import PER_CELL
 
-_BITS = wp.constant(11)  # PER_CELL is 2 to this power
+_BITS = wp.constant(11)  # PER_CELL = 2 ** _BITS
 _MASK, _CELL = wp.constant(PER_CELL - 1), wp.constant(1.0 / PER_CELL)
 HALF = wp.constant(PER_CELL // 2)
-_LEAST_PART = wp.constant(3)  # [1 / PER_CELL cells]: nearer to a node there is no curvature to add
-_ALL = wp.constant(0.99)  # weight of its own node with which a step leads nowhere
-_EVERY = wp.constant(0.9999)  # weight that is all of it, up to rounding
-_CELL_AXES = 3  # of nodes with steps of their own: up to so many axes all corners count, above those of a simplex
+_LEAST_PART = wp.constant(3)  # distance to a plane of the grid below which no curvature is added [1 / PER_CELL cells]
+_ALL = wp.constant(0.99)  # weight of the start node above which a step leads nowhere
+_EVERY = wp.constant(0.9999)  # weight of the reachable corners above which all count as reachable
+_CELL_AXES = 3  # if each node has its own steps: interpolate over the cell up to this many axes, above over a simplex
 
 
 @wp.struct
@@ -43,12 +43,12 @@ class Rule:
     Attributes:
         jump, enough, quiet, curved: As in `kernels.sweep.SweepSettings`, the times multiplied by the rate.
         first: 1 in the first phase, in which unreachable corners count as w = 0, else 0.
-        near: 1 for a pass over the near nodes alone, 0 for one over the others.
-        full: 1 if all pairs are tried, 0 for the one that was best in the last full pass.
-        controls: Number of controls, the faster index of the pairs.
+        near: 1 for a pass over the near nodes only, 0 for one over the others.
+        full: 1 to try all pairs, 0 to try only the best of the last full pass.
+        controls: Number of controls; the control is the fastest-varying index of the pairs.
         inner: Number of nodes in a slab.
-        number: Number of the pass, from 1; slabs whose indices have an even or odd sum take turns.
-        slot: Where the largest change goes.
+        number: Number of the pass, from 1; slabs with even and odd index sums alternate.
+        slot: Index at which to store the largest change.
     """
 
     jump: float
@@ -68,11 +68,11 @@ class Interpolation(NamedTuple):
     """Types and device functions for one number of axes.
 
     Attributes:
-        shape: Struct of the axes: counts, strides and periodic, each n integers.
+        shape: Struct of the axes: counts, strides and periodic, n integers each.
         place_type: Struct of the cell in which a step ends.
-        index_of: Index of a node along each axis.
-        place: Cell in which a node's step ends.
-        look: w at the end of a step.
+        index_of: Returns the index of a node along each axis.
+        place: Returns the cell in which a node's step ends.
+        look: Returns w at the end of a step.
     """
 
     shape: Callable[..., Any]
@@ -92,16 +92,16 @@ def _curvature(v0: float, v1: float, v2: float, v3: float) -> float:
 
 @wp.func
 def wrapped(i: int, count: int) -> int:
-    """Return index i on a periodic axis of so many nodes."""
+    """Wrap index i on a periodic axis of `count` nodes."""
     return ((i % count) + count) % count
 
 
 @cache
 def interpolation(n: int, n_outer: int) -> Interpolation:
-    """Return the functions for n axes, of which the first n_outer are outer ones."""
+    """Return the functions for n axes, the first n_outer of which are outer axes."""
     rows = n_outer < n
     simplex = not rows and n > _CELL_AXES
-    rounded = 2 if rows else 3  # [1 / PER_CELL cells]: a step that was cut short at the edge ends there to rounding
+    rounded = 2 if rows else 3  # rounding error of a step truncated at the edge [1 / PER_CELL cells]
     vector = wp.types.vector(length=n, dtype=wp.int32)
 
     @wp.struct
@@ -112,7 +112,7 @@ def interpolation(n: int, n_outer: int) -> Interpolation:
 
     @wp.struct
     class Place:
-        """Cell in which a step ends: its lower node, the way from there, and offsets to the upper nodes."""
+        """Cell in which a step ends: lower node, fractions above it, and offsets to the upper nodes."""
 
         inside: int
         base: int
@@ -192,7 +192,7 @@ def interpolation(n: int, n_outer: int) -> Interpolation:
     def look(
         values: wp.array[float], at: Place, shape: Shape, node: int, rule: Rule, is_long: bool, past: bool
     ) -> wp.vec2:
-        """Return w at the end of a step, and the weight of the node at which it begins, which is no corner."""
+        """Return w at the end of a step, and the weight of the start node, which is excluded from the corners."""
         own = float(0.0)
         total = float(0.0)
         reachable = float(0.0)
@@ -217,7 +217,7 @@ def interpolation(n: int, n_outer: int) -> Interpolation:
         for _a_turn in range(outer):
             a_weight = float(1.0)
             if wp.static(simplex):
-                # One axis after the other, first the one along which the end is farthest.
+                # Move along one axis after another, in descending order of the end's distance.
                 axis = int(-1)
                 farthest = int(0)
                 for k in range(n):

@@ -1,10 +1,10 @@
-"""Outcomes of the steps near target and obstacles, on a GPU or on the CPU; NVIDIA Warp.
+"""Outcomes of the steps near target and obstacles with NVIDIA Warp, on a GPU or the CPU.
 
-The rules are those of `kernels.boundary_conditions`, one thread for each node and pair.
+The rules are those of `kernels.boundary_conditions`, with one thread per node and pair.
 """
 
-# Warp reads annotations as objects: no `from __future__ import annotations` here. To it, `int(0)` is a variable and `0`
-# a constant.
+# Warp reads annotations as objects: no `from __future__ import annotations` here. In Warp, `int(0)` declares a variable,
+# `0` a constant.
 # ruff: noqa: UP018
 import warp as wp
 
@@ -39,14 +39,14 @@ class Boundary:
 
 @wp.struct
 class Path:
-    """Straight pieces of one step, with where it begins.
+    """Straight segments of one step, and its start.
 
     Attributes:
-        moves: Displacements after each piece, of all slabs and pairs (k, pairs, parts, n) [cells].
-        before: Those of the step before this one, if `goes_on` is 1, else not used.
+        moves: Displacements after each segment, for all slabs and pairs (k, pairs, parts, n) [cells].
+        before: Displacements of the preceding step, used only if `goes_on` is 1.
         slab, pair: Indices of the step.
-        node: Node at which the step, or the one before it, begins.
-        goes_on: 1 if this step begins where the one before ends, else 0.
+        node: Start node of the step, or of the preceding step.
+        goes_on: 1 if this step starts at the end of the preceding one, else 0.
     """
 
     moves: wp.array4d[float]
@@ -59,7 +59,7 @@ class Path:
 
 @wp.func
 def _start(path: Path, k: int, boundary: Boundary) -> wp.float64:
-    """Return where a path begins along axis k [cells]."""
+    """Return the start of a path along axis k [cells]."""
     at = wp.float64(path.node // boundary.strides[k] % boundary.counts[k])
     if path.goes_on == 1:
         at += wp.float64(path.before[path.slab, path.pair, path.before.shape[2] - 1, k])
@@ -68,7 +68,7 @@ def _start(path: Path, k: int, boundary: Boundary) -> wp.float64:
 
 @wp.func
 def _move(path: Path, part: int, k: int) -> wp.float64:
-    """Return the displacement after a part of the path along axis k [cells]; 0 before the first."""
+    """Return the displacement after segment `part` of the path along axis k [cells]; 0 before the first."""
     if part < 0:
         return _ZERO
     return wp.float64(path.moves[path.slab, path.pair, part, k])
@@ -76,7 +76,7 @@ def _move(path: Path, part: int, k: int) -> wp.float64:
 
 @wp.func
 def _nearest(at: wp.float64, k: int, boundary: Boundary) -> wp.float64:
-    """Return a position moved by whole periods to where it is nearest to the target's middle."""
+    """Shift a position by whole periods to its image nearest to the target's centre."""
     if boundary.periodic[k] == 0:
         return at
     count = wp.float64(boundary.counts[k])
@@ -106,7 +106,7 @@ def _clearance_at(clearance: wp.array2d[float], first: wp.float64, second: wp.fl
 
 @wp.func
 def _may_hit(path: Path, boundary: Boundary) -> bool:
-    """Whether the box around a path meets the target's intervals."""
+    """Whether the bounding box of a path meets the target's intervals."""
     parts = path.moves.shape[2]
     hits = bool(True)
     for k in range(boundary.box.shape[0]):
@@ -125,7 +125,7 @@ def _may_hit(path: Path, boundary: Boundary) -> bool:
 
 @wp.func
 def _obstacle_ahead(path: Path, part: int, end: wp.float64, margin: wp.float64, boundary: Boundary) -> bool:
-    """Whether an obstacle blocks a part of the step, taken as straight, up to the fraction `end` of it."""
+    """Whether an obstacle blocks straight segment `part` of the step before its fraction `end`."""
     i = boundary.clearance_axes[0]
     j = boundary.clearance_axes[1]
     if i < 0:
@@ -146,7 +146,7 @@ def _obstacle_ahead(path: Path, part: int, end: wp.float64, margin: wp.float64, 
 
 @wp.func
 def _target_entry(path: Path, part: int, boundary: Boundary) -> wp.float64:
-    """Fraction of a part of the step, taken as straight, at which it enters the target; 2 if it does not."""
+    """Return the fraction of straight segment `part` of the step at which it enters the target; 2 if it does not."""
     enter = wp.float64(0.0)
     leave = wp.float64(1.0)
     for k in range(boundary.box.shape[0]):
@@ -158,7 +158,7 @@ def _target_entry(path: Path, part: int, boundary: Boundary) -> wp.float64:
             b = _move(path, part, k) - before
             if b == _ZERO:
                 if a < low - _SLACK or a > high + _SLACK:
-                    leave = _HIT_OBSTACLE  # below `enter`: not at all
+                    leave = _HIT_OBSTACLE  # below `enter`, so the target is missed
             else:
                 enter = wp.max(enter, wp.min((low - a) / b, (high - a) / b))
                 leave = wp.min(leave, wp.max((low - a) / b, (high - a) / b))
@@ -186,7 +186,7 @@ def _target_entry(path: Path, part: int, boundary: Boundary) -> wp.float64:
 
 @wp.func
 def _classify(path: Path, obstacles: bool, margin: wp.float64, boundary: Boundary) -> wp.float64:
-    """Fraction of the step after which the target is hit; 2 if it is missed, -1 if an obstacle blocks the path."""
+    """Return the fraction of the step at which it hits the target; 2 for a miss, -1 if an obstacle blocks it."""
     aims = _may_hit(path, boundary)
     if not (aims or obstacles):
         return _MISSED
@@ -206,7 +206,7 @@ def _classify(path: Path, obstacles: bool, margin: wp.float64, boundary: Boundar
 
 @wp.func
 def _within_cell_of_target(path: Path, boundary: Boundary) -> bool:
-    """Whether the start of a path lies less than a cell from the target along every axis."""
+    """Whether the start of a path is less than a cell away from the target along every axis."""
     within = bool(True)
     for k in range(boundary.box.shape[0]):
         if not _is_free(k, boundary):
@@ -236,7 +236,7 @@ def find_outcomes(
     boundary: Boundary,
     outcomes: wp.array2d[float],
 ):
-    """Fill in the outcome of each pair's step from each node, as `boundary_conditions.find_outcomes`."""
+    """Fill in the outcome of each pair's step from each node, as `boundary_conditions.find_outcomes` does."""
     i, p = wp.tid()
     slab = slabs[i]
     duration = durations[slab, p]

@@ -1,12 +1,12 @@
-"""One pass of the semi-Lagrangian scheme over all nodes at once, on a GPU or, for tests, on the CPU; NVIDIA Warp.
+"""One pass of the semi-Lagrangian scheme over all nodes at once with NVIDIA Warp, on a GPU or, for tests, the CPU.
 
 The update is that of `kernels.sweep` and `kernels.node_sweep`. A pass reads one buffer and writes another, so its
-result does not depend on the order of the threads. Only every other slab is updated: two neighbours that look at each
-other would swap their values for ever.
+result does not depend on the order of the threads. Each pass updates only every other slab: two neighbours that read
+each other would swap their values for ever.
 """
 
-# Warp reads annotations as objects: no `from __future__ import annotations` here. To it, `int(0)` is a variable and `0`
-# a constant.
+# Warp reads annotations as objects: no `from __future__ import annotations` here. In Warp, `int(0)` declares a variable,
+# `0` a constant.
 # ruff: noqa: RUF046, UP018
 from collections.abc import Callable
 from functools import cache
@@ -26,9 +26,9 @@ class SweepKernels(NamedTuple):
     """Kernels for one number of axes.
 
     Attributes:
-        shape: Struct of the axes: counts, strides and periodic, each n integers.
-        sweep: Update of the nodes.
-        awaken: Choice of the slabs that are worth an update; needs inner axes.
+        shape: Struct of the axes: counts, strides and periodic, n integers each.
+        sweep: Updates the nodes.
+        awaken: Selects the slabs that need an update; requires inner axes.
     """
 
     shape: Callable[..., Any]
@@ -47,7 +47,7 @@ def _change(old: float, new: float, first: int) -> float:
 
 @cache
 def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
-    """Return the kernels for n axes, of which the first n_outer are outer ones; compiled at their first launch."""
+    """Return the kernels for n axes, the first n_outer of which are outer axes; compiled at their first launch."""
     rows = n_outer < n
     Shape, Place, index_of, place, look = interpolation(n, n_outer)
 
@@ -119,7 +119,7 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
         new = worst
         if new < _TINY:
             new = 0.0
-        # With one pair alone, or where the scheme is monotone or curved, w does not fall; except, by all pairs, to 0.
+        # A pass over the best pairs only, or in a monotone or curved phase, never lowers w, except to 0 by all pairs.
         only_grows = rule.full == 0 or rule.curved == 1 or rule.first == 1
         if new == old or (new < old and only_grows and (new > 0.0 or rule.full == 0)):
             return
@@ -137,7 +137,7 @@ def sweep_kernels(n: int, n_outer: int) -> SweepKernels:
 
     @wp.func
     def looks_at_news(at: Place, shape: Shape, changed: wp.array[int], rule: Rule, last: int) -> bool:
-        """Whether a slab in which a corner or a curve of a step lies has changed since pass number `last`."""
+        """Whether a slab with a corner or a curve of a step has changed since pass number `last`."""
         base = int(0)
         mask = int(0)
         size = int(1)
