@@ -14,7 +14,7 @@ sys.path.append(str(ROOT / "scripts" / "reference"))
 
 from workspace import PACKAGES, Executable, executables
 
-_RUN = re.compile(r"ros2 run (\w+) (\w+)([^`'\n]*)")
+_RUN = re.compile(r"ros2 run (\w+) (\w+)([^`'\n),;]*)")
 _QUOTED = re.compile(r"`([a-z_]+(?: [^`]+)?)`|'(oc [a-z]+)'")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 _ELSEWHERE = ("make ", "ray ", "ros2 bag ", "rosbags-convert ", "git ", "apt ", "pip ")

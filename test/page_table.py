@@ -85,7 +85,7 @@ PAGES = {
         skipped={"python -m pip": NETWORK, "ray ": MACHINES, "ros2 run option_coordinator train": MACHINES},
     ),
     "docs/howto/navigate.md": Page(
-        120.0,
+        12.0,
         smaller={"ros2 run ctrl_rl_navigation trials": "--goals 1"},
         skipped={
             "ros2 run nav2_map_server": ROBOT,
@@ -133,7 +133,7 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
         },
         skipped={"ros2 run teleop_twist_keyboard": ROBOT},
     ),
-    "docs/howto/safe_sets.md": Page(200.0),
+    "docs/howto/safe_sets.md": Page(20.0),
     "docs/howto/safety_filter.md": Page(
         300.0,
         between={
@@ -208,5 +208,5 @@ sed 's/^name: .*/name: my_team/' \
         smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 50000 --evaluations 2"},
         skipped={"ros2 launch": ROS, "ros2 param ": ROS},
     ),
-    "ttr_reward_node/README.md": Page(60.0, before=_robot("car_ttr"), skipped={"make ttr ": HOURS}),
+    "ttr_reward_node/README.md": Page(15.0, before=_robot("car_ttr"), skipped={"make ttr ": HOURS}),
 }
