@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import yaml
-from ctrl_rl_core.driving import INPUT
 
 PACKAGE = Path(__file__).parents[1]
 SETTINGS = yaml.safe_load((PACKAGE / "config" / "twist_mux.yaml").read_text())["twist_mux"]["ros__parameters"]
@@ -28,4 +27,4 @@ def test_hands_win_over_policies_and_the_emergency_stop_over_all() -> None:
 def test_the_guide_uses_its_topics_and_puts_it_before_the_watchdog() -> None:
     for source in (*SETTINGS["topics"].values(), *SETTINGS["locks"].values()):
         assert re.search(rf"\b{source['topic']}\b", GUIDE)
-    assert f"cmd_vel_out:={INPUT}" in GUIDE
+    assert "cmd_vel_out:=cmd_vel_raw" in GUIDE

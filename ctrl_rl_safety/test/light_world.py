@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from ctrl_rl_core.values import cached_njit
 from ctrl_rl_safety.filter.certificate import outer_speed
-from ctrl_rl_safety.models.motion import STANDS, motion_of, roll_out
+from ctrl_rl_safety.models.motion import STANDS, motion_of, next_state
 from numpy.typing import NDArray
 
 from ctrl_rl_safety import Reading, RobotModel, SafetyFilter, Verdict
 
 STEP = 0.02
 _BEARINGS = np.radians(np.arange(0.0, 360.0, 2.0))
+
+
+@cached_njit
+def roll_out(state: NDArray[np.float64], commands: NDArray[np.float64], motion: Any) -> NDArray[np.float64]:
+    """Return the states (n + 1, 5) from a state (5,) under commands (n, 2), one per time step."""
+    out = np.empty((len(commands) + 1, 5))
+    out[0] = state
+    for k in range(len(commands)):
+        x, y, theta, v, omega = out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4]
+        out[k + 1] = np.array(next_state(x, y, theta, v, omega, commands[k, 0], commands[k, 1], motion))
+    return out
 
 
 class LightWorld:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_safety.models.motion import motion_of, roll_out
+from ctrl_rl_safety.models.motion import motion_of
 from ctrl_rl_safety.sets.recoverable_set import HEADINGS, LEVELS
+from light_world import roll_out
 
 from ctrl_rl_safety import ROBOTS, Growth, RobotModel, SafetyError, find_model, obstacles_around, solve_set
 

@@ -1,15 +1,31 @@
 """Shortest paths to a box of poses: never longer than to any of its poses on a lattice, and they end in it."""
 
+import math
+
 import numpy as np
 import pytest
 from ctrl_rl_core.values import cached_njit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ttr_reward_node.verification.dubins import to_box
-from ttr_reward_node.verification.dubins_words import distance, end_of
+from ttr_reward_node.verification.dubins_words import end_of, word
 
 BOX = np.array([[3.7, 4.3], [3.7, 4.3], [0.45, 1.05]])
 TOLERANCE = 1e-6
+
+
+@cached_njit
+def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
+    """Return the length of the shortest path between two poses, and its word."""
+    c, s = math.cos(a0), math.sin(a0)
+    dx, dy = x1 - x0, y1 - y0
+    x, y = c * dx + s * dy, -s * dx + c * dy
+    best, kind = math.inf, -1
+    for k in range(6):
+        t, p, q = word(k, x, y, a1 - a0)
+        if t + p + q < best:
+            best, kind = t + p + q, k
+    return best, kind
 
 
 @cached_njit

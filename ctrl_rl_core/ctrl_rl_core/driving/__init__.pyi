@@ -1,3 +1,2 @@
 from .command_output import ThrustOutput as ThrustOutput
 from .driver_node import ENDED as ENDED
-from .watchdog_node import INPUT as INPUT

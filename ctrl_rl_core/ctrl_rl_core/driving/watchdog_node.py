@@ -13,7 +13,6 @@ from ctrl_rl_core.driving.command_watchdog import BASE_FRAME, CommandWatchdog
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.ros.running import run_node
 
-INPUT = "cmd_vel_raw"
 _ROUNDING = 1.0 + 1e-6
 
 

@@ -179,7 +179,6 @@ PositiveTime = Annotated[float, BeforeValidator(_scalar("s", positive=True))]
 TimeStep = Annotated[float, BeforeValidator(_scalar("s", positive=True, largest=60.0))]
 """Duration of a policy step [s]."""
 Angle = Annotated[float, BeforeValidator(_scalar("rad"))]
-Speed = Annotated[float, BeforeValidator(_scalar("m/s"))]
 PositiveSpeed = Annotated[float, BeforeValidator(_scalar("m/s", positive=True))]
 PositiveRate = Annotated[float, BeforeValidator(_scalar("Hz", positive=True))]
 LengthInterval = Annotated[Interval, BeforeValidator(_interval("m"))]

@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from ctrl_rl_core.plots.roles import DANGER, FAINT, NO_HELP, OURS_COLOUR
 from ctrl_rl_core.plots.words import name_at_end
 
-Array = NDArray[np.float64]
-MOST = 3
-
 
 @dataclass(frozen=True)
 class Series:

@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
@@ -89,14 +88,3 @@ def next_state(
     way, turn = 0.5 * (v + faster) * motion.step, 0.5 * (omega + turned) * motion.step
     middle = theta + 0.5 * turn
     return x + way * math.cos(middle), y + way * math.sin(middle), theta + turn, faster, turned
-
-
-@cached_njit
-def roll_out(state: Array, commands: Array, motion: Any) -> Array:
-    """Return the states (n + 1, 5) from a state (5,) under commands (n, 2), one per time step."""
-    out = np.empty((len(commands) + 1, 5))
-    out[0] = state
-    for k in range(len(commands)):
-        x, y, theta, v, omega = out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4]
-        out[k + 1] = np.array(next_state(x, y, theta, v, omega, commands[k, 0], commands[k, 1], motion))
-    return out

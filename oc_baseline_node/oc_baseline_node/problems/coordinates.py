@@ -114,8 +114,6 @@ def _turns(
     return [(apart, name, moved) for _, apart, moved in inside[:2]]
 
 
-NAMES = ("s", "lateral", "heading")
-"""States of `path_car`."""
 _ROUNDED = 0.05
 """Length over which curvature steps are smoothed [m]."""
 _LARGEST_HEADING = pi / 3

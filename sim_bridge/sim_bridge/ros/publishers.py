@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from ctrl_rl_core.ros import LATCHED, ODOM_PUBLISHER, SCAN_PUBLISHER, float32_array, to_stamp
 from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, LaserScan
@@ -21,7 +19,6 @@ from sim_bridge.ros.robot_model import RobotModel
 from sim_bridge.simulation.odometry import OdometryReading
 from sim_bridge.simulation.world import SimulatedWorld
 
-Array = NDArray[np.float64]
 _LATE_JOINER_S = 1.0
 
 

@@ -21,7 +21,6 @@ from ttr_reward_node.certificates.local_steps import LocalSteps
 from ttr_reward_node.problems.problem import TimeToReachProblem
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 _AROUND = 2  # uncertainty of either side [cells]
 _STEP = 1.0  # length of a step [cells]
 _HOLD = 6  # maximum number of steps for which a control is held

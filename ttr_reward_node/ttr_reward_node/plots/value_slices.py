@@ -1,4 +1,4 @@
-"""Plots of a time-to-reach function, or of a safety value: slices through it (thesis Fig. 3.1)."""
+"""Plots of slices through a time-to-reach function or a safety value (thesis Fig. 3.1)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import numpy as np
 from ctrl_rl_core.plots import draw_values, draw_world, name_axes, named_value, picture
 from ctrl_rl_core.tasks import ANGLES
 from ctrl_rl_core.values import plane_of
-from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, ValueFunction
 from ttr_reward_node.errors import TimeToReachError
 
-Array = NDArray[np.float64]
 _POINTS, _MOST = 300, 6
 _THESIS_HEADINGS = (-np.pi / 4, 0.0, np.pi / 2, 3 * np.pi / 4)
 
@@ -26,20 +24,20 @@ def draw_slices(
     path: Path,
     at: Mapping[str, Sequence[float]] | None = None,
 ) -> None:
-    """Draw the values over the plane, one picture for each value of one other component, as Fig. 3.1 does.
+    """Plot the values over the plane, one panel per value of one other component, as in Fig. 3.1.
 
-    The edge of a safe set is a black line.
+    The boundary of a safe set is a black line.
 
     Args:
-        function: Time to reach or safety value over x, y or x, z and more states.
+        function: Time to reach or safety value over x, y or x, z and further states.
         task: Task with the goal and obstacles to draw.
-        path: File of the picture; replaced if it exists.
-        at: Values of the other components by name [their unit]; the one with more than one value makes the panels.
-            Unless given, the thesis's four headings for the robot's angle, and 0 for the rest.
+        path: Figure file; replaced if it exists.
+        at: Values of the other components by name [their unit]; the component with several values makes the panels.
+            Default: the thesis's four headings for the robot's angle, and 0 for the others.
 
     Raises:
-        TimeToReachError: two components have several values.
-        ValueFunctionError: there is no plane of positions, or `at` names what the state lacks.
+        TimeToReachError: Two components have several values.
+        ValueFunctionError: There is no plane of positions, or `at` names a component that is not in the state.
     """
     plane = plane_of(function)
     first, second = plane.first, plane.second
@@ -69,7 +67,7 @@ def draw_slices(
 
 
 def _panels(others: Sequence[str], at: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
-    """Return the values that each panel fixes, by component."""
+    """Return the fixed values of each panel, by component."""
     angle = next((name for name in others if name in ANGLES), None)
     defaults = {name: _THESIS_HEADINGS if name == angle and not at else (0.0,) for name in others}
     fixed = {**defaults, **at}

@@ -75,17 +75,3 @@ def end_of(
             angle += turn * step
         s -= step
     return x, y, angle
-
-
-@cached_njit
-def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -> tuple[float, int]:
-    """Return the length of the shortest path between two poses, and its word."""
-    c, s = math.cos(a0), math.sin(a0)
-    dx, dy = x1 - x0, y1 - y0
-    x, y = c * dx + s * dy, -s * dx + c * dy
-    best, kind = math.inf, -1
-    for k in range(6):
-        t, p, q = word(k, x, y, a1 - a0)
-        if t + p + q < best:
-            best, kind = t + p + q, k
-    return best, kind
