@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from itertools import count, islice
 from pathlib import Path
@@ -14,10 +12,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from commands import command
 from ctrl_rl_bags.datasets import TaskDriveOptions
 from ctrl_rl_core.command import EXIT_USAGE
 from ctrl_rl_core.io import read_json
-from ctrl_rl_learning.cli.evaluate_offline import evaluate_offline
 from ctrl_rl_learning.offline import (
     TIME_TO_REACH,
     Drives,
@@ -166,11 +164,10 @@ def judge_world(seed: int, folder: Path, options: Options) -> Iterator[Judged]:
 
 def ask(bag: Path, pair: Pair, policy: Path, results: Path) -> tuple[str, str]:
     """Return the verdict of the command, and the first line of what it says against the policy."""
-    said = io.StringIO()
     words = [str(bag), "--task", str(pair.file), "--policy", str(policy), "--other-task"]
-    with redirect_stdout(io.StringIO()), redirect_stderr(said):
-        evaluate_offline([*words, "--updates", "200", "--fits", "2", "--results", str(results)])
-    lines = [each for each in said.getvalue().splitlines() if "not called better" in each or not results.exists()]
+    words += ["--updates", "200", "--fits", "2", "--results", str(results)]
+    answer = command("evaluate_offline", *words, package="ctrl_rl_learning")
+    lines = [each for each in answer.stderr.splitlines() if "not called better" in each or not results.exists()]
     first = lines[0].split(": ", 1)[-1].removeprefix("not called better: ") if lines else ""
     if not results.exists():
         return "refused", first
