@@ -25,6 +25,8 @@ _COMPARED = 2000
 """Most states whose scans are compared."""
 _OFF = 0.05
 """Difference of a range beyond the lidar's noise that counts [m]."""
+_BESIDE = np.array((0.02, 0.02, math.radians(0.5)))
+"""Errors of a pose, and of a wall's place in a map, after which a range is still the file's [m, m, rad]."""
 _FAST = 0.75
 """Quantile of the recorded speeds from which on pieces stand for a policy that is faster than most of them."""
 _COVERED = 2.0
@@ -90,13 +92,20 @@ def model_support(
 
 
 def scans_off(transitions: Transitions, task: NavigationTask, world: LearntWorld, random: np.random.Generator) -> float:
-    """Return the share of the recorded ranges that are not those of the task's walls, at the recorded poses."""
+    """Return the share of the recorded ranges that are not those of the task's walls, at or beside the recorded poses.
+
+    A pose is not exact, nor is the place of a wall in a map of cells: far away and at a slant the range is another.
+    """
     chosen = random.permutation(len(transitions))[:_COMPARED]
     expected, columns = world.expected_scans(transitions.states[chosen])
+    low, high = expected, expected
+    for error in (*np.diag(_BESIDE), *np.diag(-_BESIDE)):
+        beside, _ = world.expected_scans(transitions.states[chosen] + error)
+        low, high = np.minimum(low, beside), np.maximum(high, beside)
     measured = transitions.observations[chosen][:, columns].astype(np.float64)
     if not measured.size:
         return 0.0
-    off = np.abs(measured - expected) > _OFF + 4.0 * task.lidar.noise
+    off = np.maximum(low - measured, measured - high) > _OFF + 4.0 * task.lidar.noise
     if task.lidar.dropout > 0.0:
         off &= measured < task.lidar.range.high
     return float(off.mean())
