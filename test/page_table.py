@@ -127,9 +127,10 @@ cp "$(python -c 'import ctrl_rl_core.robots as robots; print(robots.__path__[0])
 sed -i 's/^name: .*/name: mine/' mine.yaml
 """
         + _robot("mine/car_ttr.yaml"),
+        between={"ros2 run ctrl_rl_learning fine_tune": "stop_all"},
         smaller={
             "ros2 run ctrl_rl_learning fine_tune": "--minutes 0.3 --starts simulator",
-            "ros2 run ctrl_rl_trials shift_study": "--seeds 1",
+            "ros2 run ctrl_rl_trials shift_study": "--seeds 1 --minutes 0.3 --tests 1",
         },
         skipped={"ros2 run teleop_twist_keyboard": ROBOT},
     ),

@@ -59,6 +59,14 @@ def _pages() -> list[object]:
     ]
 
 
+def end_session(number: int) -> None:
+    """Kill what is left of a session: the jobs of its shell are process groups of their own."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended meanwhile
+            if os.getsid(int(process.name)) == number:
+                os.kill(int(process.name), signal.SIGKILL)
+
+
 @pytest.mark.parametrize("name", _pages())
 def test_a_page_works_as_written(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "page"
@@ -75,6 +83,5 @@ def test_a_page_works_as_written(name: str, tmp_path: Path) -> None:
     try:
         shell.wait()
     finally:
-        with suppress(ProcessLookupError):  # what it left in the background
-            os.killpg(shell.pid, signal.SIGKILL)
+        end_session(shell.pid)
     assert shell.returncode == 0, said.read_text(errors="replace")
