@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions
+from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions, StuckWatch
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, Choice, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
-from ctrl_rl_navigation.driving.stuck_watch import StuckWatch
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_solver import MapSolver
 

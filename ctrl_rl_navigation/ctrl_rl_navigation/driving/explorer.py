@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
-from ctrl_rl_navigation.driving.stuck_watch import StuckWatch
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import MapSolver
@@ -25,6 +24,14 @@ _BESIDE = 1.0
 """Distance within which mapped obstacles outside the scan, behind the robot, are considered [m]."""
 _THIN = 0.03
 """Side length of the cells from which the look-ahead uses one echo each [m]."""
+_STAYS = 0.1
+"""Radius within which a robot counts as staying in place [m]."""
+_TURNS = 0.5
+"""Rotation that counts as progress in place [rad]."""
+_PATIENCE = 1.0
+"""Time without progress after which a robot is stuck [s]."""
+_LEFT = 0.5
+"""Distance from the place at which the robot is no longer stuck [m]."""
 
 
 @dataclass(frozen=True)
@@ -156,3 +163,27 @@ class Explorer:
         points = np.hstack(((known[:, :2] - pose[:2]) @ turn, known[:, 2:] @ turn))
         seen = np.arange(len(points)) < len(first)
         return np.asarray(points[seen | (points[:, 0] < 0.0)], float)
+
+
+class StuckWatch:
+    """Tracks poses; a robot that stays in one place is stuck until it leaves."""
+
+    def __init__(self) -> None:
+        self._pose: Array = np.full(3, math.inf)
+        self._since, self._stuck = math.inf, False
+
+    def stuck(self, now: float, pose: Array) -> bool:
+        """Return whether the robot is stuck.
+
+        Args:
+            now: Steady time [s].
+            pose: Pose x, y, theta of the robot (3,) [m, m, rad].
+        """
+        moved = math.dist(pose[:2], self._pose[:2])
+        if self._stuck:
+            self._stuck = moved < _LEFT
+        elif moved > _STAYS or abs(math.remainder(pose[2] - self._pose[2], 2.0 * math.pi)) > _TURNS:
+            self._pose, self._since = pose.copy(), now
+        else:
+            self._stuck = now - self._since >= _PATIENCE
+        return self._stuck
