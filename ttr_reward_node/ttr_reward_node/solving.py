@@ -1,4 +1,4 @@
-"""The time to reach of a task, or of a system of one's own, in one call: `solve` of the front door."""
+"""Time to reach of a task or a user-defined system in one call: the function `ctrl_rl.solve`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def solve_value(
 ) -> ValueGrid | DecomposedValue:
     """Compute the time to reach of a task, or of a system on a grid.
 
-    What was tried on the solution and contradicts it is a `DoubtfulValueWarning`. `save` of the value writes a file
+    Each check that contradicts the solution issues a `DoubtfulValueWarning`. The value's method `save` writes a file
     that nodes and `load_value` read.
 
     >>> import ctrl_rl
@@ -61,22 +61,22 @@ def solve_value(
     ... )
 
     Args:
-        problem: Navigation task, its name or its file; or with `axes` and `target` a system, or the name of one.
-        axes: Grid of the system by state name: (lower, upper, count), or the count alone for a state with bounds of its
-            own, such as an angle; or an axis for each state.
-        target: Goal: (lower, upper) by state name, a state left out is free; or a region.
-        obstacles: Obstacles of the system in the plane of its positions: shapes, or a map whose occupied cells block.
-        inflation: Distance by which walls and obstacles are widened [m], such as the robot's radius; that of the task's
-            body unless given, 0 for a system.
-        counts: Number of nodes by state name, or one for each state, in place of the task's.
-        decomposition: Name of a decomposition of the system, such as "4d+4d" for the planar quadrotor, for less memory
-            and a lower bound of the time; the whole system is solved unless given.
-        method: "semi_lagrangian", or "lax_friedrichs" as the thesis has it.
-        device: "cpu", or "cuda" to sweep on a GPU, which needs NVIDIA Warp.
+        problem: Navigation task, its name or its file; or, with `axes` and `target`, a system or its name.
+        axes: Grid of the system by state name: (lower, upper, count), or only the count for a state with its own
+            bounds, e.g. an angle; or one axis for each state.
+        target: Goal: (lower, upper) by state name, other states are free; or a region.
+        obstacles: Obstacles of the system in the plane of its positions: shapes, or a map with occupied cells.
+        inflation: Distance by which walls and obstacles are inflated [m], e.g. the robot's radius; default: the radius
+            of the task's body, 0 for a system.
+        counts: Number of nodes by state name, or one for each state; default: the task's.
+        decomposition: Name of a decomposition of the system, e.g. "4d+4d" for the planar quadrotor: needs less memory,
+            and gives a lower bound of the time. Default: the whole system is solved.
+        method: "semi_lagrangian", or the thesis's "lax_friedrichs".
+        device: "cpu", or "cuda" to solve on a GPU, which needs NVIDIA Warp.
 
     Raises:
-        CtrlRlError: The task, the system or the grid is wrong, does not fit into memory, or nothing outside the goal
-            reaches it; the message says what to do.
+        CtrlRlError: The task, the system or the grid is invalid, does not fit into memory, or no state outside the goal
+            can reach it; the message states the remedy.
     """
     if axes is None or target is None:
         posed = _from_task(problem, axes, target, obstacles, inflation, counts)

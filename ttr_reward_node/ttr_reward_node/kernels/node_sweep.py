@@ -332,7 +332,7 @@ def _interpolate(
 
 @njit(**_OPTIONS)
 def _bend(values: Floats, grid: Grid, corners: Corners, own: Part) -> np.float32:
-    """Curvature along each axis that linear interpolation leaves out, taken at the nearest nodes of the other axes."""
+    """Return the curvature omitted by linear interpolation, summed over all axes, at the nearest nodes of the rest."""
     nearest = np.int64(0)
     for k in range(grid.n):
         nearest += (corners.lower[k] + _ahead(grid, corners, k)) * grid.strides[k]

@@ -3,8 +3,8 @@
 The rules are those of `kernels.boundary_conditions`, with one thread per node and pair.
 """
 
-# Warp reads annotations as objects: no `from __future__ import annotations` here. In Warp, `int(0)` declares a variable,
-# `0` a constant.
+# No `from __future__ import annotations`: Warp needs annotations as objects. In Warp, `int(0)` declares a variable, `0`
+# a constant.
 # ruff: noqa: UP018
 import warp as wp
 
@@ -23,7 +23,7 @@ _ZERO, _ONE, _HALF, _QUARTER = (wp.constant(wp.float64(number)) for number in (0
 
 @wp.struct
 class Boundary:
-    """Target and obstacles, as in `boundary_conditions.BoundaryConditions`; the grid's axes; the transform's rate."""
+    """Target and obstacles (see `boundary_conditions.BoundaryConditions`), axes of the grid, rate of the transform."""
 
     box: wp.array2d[wp.float64]
     disc: wp.array[wp.float64]

@@ -5,8 +5,8 @@ result does not depend on the order of the threads. Each pass updates only every
 each other would swap their values for ever.
 """
 
-# Warp reads annotations as objects: no `from __future__ import annotations` here. In Warp, `int(0)` declares a variable,
-# `0` a constant.
+# No `from __future__ import annotations`: Warp needs annotations as objects. In Warp, `int(0)` declares a variable, `0`
+# a constant.
 # ruff: noqa: RUF046, UP018
 from collections.abc import Callable
 from functools import cache

@@ -1,4 +1,4 @@
-"""The reward node: odometry in, time to reach and reward out (thesis Fig. 3.2)."""
+"""ROS node that converts odometry to the time to reach and the reward (thesis Fig. 3.2)."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from ttr_reward_node.values.value_file import load_value
 
 
 class RewardNode(ValueServer):
-    """Serves a time-to-reach function and the reward made of it.
+    """Serves a time-to-reach function and the reward derived from it.
 
-    Subscribes to odom; publishes reward and time_to_reach, one message of each for each odometry message, and ~/grid
-    and ~/slice latched. Answers ~/query for many states. Outside the grid it says NaN, never an extrapolation.
+    Subscribes to odom; publishes reward and time_to_reach, one message each per odometry message, and ~/grid and
+    ~/slice latched. Evaluates many states via the service ~/query. Outside the grid it returns NaN and does not
+    extrapolate.
 
-    With `reward:=ttr_progress` an episode begins with the first odometry, after a goal, collision or trap, with a new
-    number on the simulator's topic `episode`, and by the service ~/begin_episode.
+    With `reward:=ttr_progress`, an episode begins with the first odometry message, after a goal, collision or trap,
+    with a new number on the simulator's topic `episode`, or by the service ~/begin_episode.
     """
 
     TOPIC = "time_to_reach"
@@ -69,7 +70,7 @@ class RewardNode(ValueServer):
         return load_value(path)
 
     def prepare(self, function: ValueFunction) -> Valued:
-        """Return the function that publishes the reward of each state."""
+        """Return the function that publishes the reward for each state."""
         task = load_navigation_task(self.settings["task"] or function.task)
         evaluator = RewardEvaluator(task, function, self.settings["corridor_width"] or None)
         if not evaluator.up_to_date:
@@ -92,7 +93,7 @@ class RewardNode(ValueServer):
         return publish
 
     def _on_episode(self, message: EpisodeStatus) -> None:
-        """Begin an episode where the simulator has begun one."""
+        """Begin an episode when the simulator begins one."""
         if self._progress is not None and self._episode not in (None, message.episode):
             self._progress.begin()
         self._episode = message.episode

@@ -1,4 +1,4 @@
-"""Plot of the cost of solutions as the grid grows."""
+"""Plot of the solution cost over the grid size."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ctrl_rl_core.plots import BLACK, FAINT, MOST_LINES, ROBOTS, name_at_end, pi
 from ttr_reward_node.verification.cost import exponent
 
 _LOOKS = tuple(zip((*ROBOTS, BLACK, BLACK), ("o-", "s-", "D-", "^-", "v--"), strict=True))
-"""Colour and line of each system; where several have as many states, the first of them is drawn."""
+"""Colour and line style of each system; of systems with the same number of states, the first is drawn."""
 
 
 def draw_cost(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw CPU seconds over points for each system, with both axes logarithmic, beside a line of slope one.
+    """Plot CPU seconds over grid points for each system on logarithmic axes, with a reference line of slope one.
 
     Args:
         rows: Rows of `measure_cost` for one method.
-        path: File of the picture; replaced if it exists.
+        path: Figure file; replaced if it exists.
     """
     largest = max(row["points"] for row in rows)
     with picture(path, f"Time to reach, {rows[0]['method'].replace('_', '-')}: CPU time grows with the points, up to "

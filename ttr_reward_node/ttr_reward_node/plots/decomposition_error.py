@@ -1,4 +1,4 @@
-"""Plot of a decomposition's error: its distribution, and its place in the plane."""
+"""Plot of a decomposition's error: its distribution, and its map over the plane."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _BINS, _MOST = 60, 2
 
 
 def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: NavigationTask, path: Path) -> None:
-    """Draw the distribution of each error, and each error over the plane at the other components' middle.
+    """Plot the distribution of each error, and each error over the plane at the midpoints of the other components.
 
     Args:
         gaps: Errors of one or more decompositions of one problem.
         task: Task with the goal and obstacles to draw.
-        path: File of the picture; replaced if it exists.
+        path: Figure file; replaced if it exists.
 
     Raises:
-        TimeToReachError: there is no plane of positions, or there are no nodes to compare.
+        TimeToReachError: There is no plane of positions, or no nodes to compare.
     """
     names = gaps[0].problem.system.state_names
     plane = position_indices(names)
@@ -60,7 +60,7 @@ def draw_decomposition_errors(gaps: Sequence[DecompositionErrors], task: Navigat
 
 
 def _slice(gap: DecompositionErrors, plane: Sequence[int]) -> tuple[NDArray[np.float32], str]:
-    """Return the error over the plane (first, second), NaN where it is not defined, and the place of the slice."""
+    """Return the error over the plane (first, second), NaN where undefined, and a description of the slice."""
     index: list[slice | int] = []
     at = []
     for k, axis in enumerate(gap.problem.axes):

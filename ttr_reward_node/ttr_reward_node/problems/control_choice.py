@@ -1,9 +1,9 @@
-"""Which controls the solvers try.
+"""Choice of the control samples that the solvers try.
 
-Where every derivative is affine in the controls, the bounds are enough: the best control lies at a corner of their box.
-Elsewhere it may lie anywhere between. Then evenly spaced samples span the set of velocities to about a hundredth of its
-size, and a few more are put where a front of equal times would still be slowed down: against a current that is nearly
-as fast as the boat, a hundredth of the boat's speed is a fifth of the way it makes.
+If every derivative is affine in the controls, the bounds suffice: the best control is a corner of their box. Otherwise
+it may lie anywhere inside. Then evenly spaced samples span the set of velocities to about 1 % of its size, and a few
+more are added in directions where a front of equal times would still be too slow: against a current nearly as fast as
+the boat, 1 % of the boat's speed can be a fifth of its speed over ground.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from ttr_reward_node.problems.velocity_hulls import VelocityHulls
 
 Array = NDArray[np.float64]
 USUAL_COUNT = 3
-"""Samples of a control that enters linearly: the bounds, and the middle, which saves switching to and fro."""
+"""Samples of a control that enters linearly: the bounds, and the middle, which avoids chattering."""
 MOST_EVEN = 129
-"""Evenly spaced controls that are tried at most, unless their number is asked for."""
+"""Maximum number of evenly spaced controls, unless set by the user."""
 MOST_SAMPLES = 320
-"""Controls that are tried at most, unless their number is asked for."""
-_ACCURACY = 0.01  # of half of the width of the set of velocities, and of the speed of a front
-_MANY = 33  # samples of a control to advise at least
-_DOUBTFUL = 0.06  # of that speed, from where on the samples are said to be too few
+"""Maximum number of controls, unless set by the user."""
+_ACCURACY = 0.01  # relative to half the width of the set of velocities, and to the speed of a front
+_MANY = 33  # minimum number of samples to recommend
+_DOUBTFUL = 0.06  # error relative to the speed of a front above which the samples are reported as too few
 
 
 def check_control_counts(system: System, counts: int | Sequence[int]) -> None:
-    """Refuse numbers of samples that are no numbers from 2 on, one for all controls or one for each.
+    """Check that sample counts are integers of at least 2, one for all controls or one for each.
 
     Raises:
-        TimeToReachError: They are not.
+        TimeToReachError: A count is invalid, or their number does not match the controls.
     """
     each = [counts] if isinstance(counts, int) else list(counts)
     wrong = any(isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 2 for count in each)
@@ -46,11 +46,11 @@ def check_control_counts(system: System, counts: int | Sequence[int]) -> None:
 
 
 def choose_control_counts(hulls: VelocityHulls, asked: Mapping[str, int] | None = None) -> int | tuple[int, ...]:
-    """Return how many samples of each control the solvers should try.
+    """Return the number of samples of each control that the solvers should try.
 
     Args:
         hulls: Velocities of the system on its grid.
-        asked: Number of samples by control name, where it is not to be chosen.
+        asked: Numbers of samples set by the user, by control name; the others are chosen.
 
     Raises:
         TimeToReachError: There is no such control, or a number is below 2.
@@ -82,7 +82,7 @@ def choose_control_counts(hulls: VelocityHulls, asked: Mapping[str, int] | None 
 
 
 def choose_more_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> Array:
-    """Return controls (k, m) to try besides evenly spaced ones: none where the system is affine in its controls."""
+    """Return controls (k, m) to add to evenly spaced ones; none if the system is affine in its controls."""
     even = sample_controls(hulls, counts)
     if not _bent_controls(hulls.system):
         return even[:0]
@@ -90,12 +90,12 @@ def choose_more_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> A
 
 
 def control_doubt(hulls: VelocityHulls, counts: int | Sequence[int], controls: Array) -> str:
-    """Return what is wrong with the controls (k, m): a line that says what to change, empty where nothing is.
+    """Return a warning if the controls (k, m) are too few, with a remedy; empty if they suffice.
 
     Args:
         hulls: Velocities of the system on its grid.
         counts: Numbers of evenly spaced samples among them.
-        controls: All that are tried.
+        controls: All controls tried.
     """
     system = hulls.system
     bent = _bent_controls(system)
@@ -111,9 +111,9 @@ def control_doubt(hulls: VelocityHulls, counts: int | Sequence[int], controls: A
 
 
 def sample_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> Array:
-    """Return evenly spaced controls (k, m): as `System.control_samples`, less the end of a whole turn.
+    """Return evenly spaced controls (k, m), as `System.control_samples`, without duplicates of a full turn.
 
-    Where a control does the same at both bounds, as a heading does over a whole turn, the upper one is left out.
+    If a control has the same effect at both bounds, such as a heading over a full turn, the upper bound is omitted.
     """
     if not _bent_controls(hulls.system):
         return hulls.system.control_samples(counts)
@@ -121,6 +121,6 @@ def sample_controls(hulls: VelocityHulls, counts: int | Sequence[int]) -> Array:
 
 
 def _bent_controls(system: System) -> list[int]:
-    """Return the controls that a derivative is not affine in, as far as the equations tell."""
+    """Return the indices of controls in which some derivative is not affine, as far as the equations reveal."""
     rates = [rate for rate in dependences(system) if rate.control_degree > AFFINE]
     return sorted(frozenset[int]().union(*(rate.controls for rate in rates)))

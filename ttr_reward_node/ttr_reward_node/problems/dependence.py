@@ -1,8 +1,8 @@
 """Dependence of each derivative of a system on states, controls and disturbances.
 
-The equations of a system are arithmetic and functions like sin and cos, so they are run once on numbers that remember
-where they came from. That is exact, whereas changing the states one at a time at random finds only what shows at the
-states, controls and disturbances that were tried.
+The equations of a system consist of arithmetic and functions such as sin and cos, so they are run once on numbers that
+record their dependences. This is exact, whereas varying the states one at a time finds only the dependences visible at
+the sampled states, controls and disturbances.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ctrl_rl_core import Quantity, System
 from ttr_reward_node.errors import TimeToReachError
 
 AFFINE = 1
-"""Degree of a derivative that is linear in the controls, or disturbances, or does not depend on them."""
+"""Largest degree of a derivative that is affine in the controls or disturbances."""
 _NONLINEAR = 2
 
 
@@ -25,9 +25,9 @@ class Dependence:
     """Dependence of one derivative.
 
     Attributes:
-        states, controls, disturbances: indices of the components that it depends on.
-        control_degree, disturbance_degree: 0 where it depends on none of them, 1 where it is affine in them, else 2.
-        coupled: whether a control and a disturbance are multiplied by each other, or meet in a function.
+        states, controls, disturbances: Indices of the components that it depends on.
+        control_degree, disturbance_degree: 0 if it depends on none of them, 1 if it is affine in them, else 2.
+        coupled: Whether a control and a disturbance are multiplied or are arguments of the same function.
     """
 
     states: frozenset[int] = frozenset()
@@ -39,14 +39,13 @@ class Dependence:
 
 
 def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
-    """Return the dependence of each derivative of a system; more than the true one where terms cancel.
+    """Return the dependence of each derivative of a system; an overestimate if terms cancel.
 
-    Equations that ask for the value of a number (`if x[0] > 1`) cannot be followed: all of them then depend on
-    everything.
+    Equations that branch on a value (`if x[0] > 1`) cannot be traced: all derivatives then depend on everything.
 
     Args:
-        system: the system, with its bounds and parameters.
-        hold: Whether controls and disturbances whose bounds coincide are constants. If not, controls are free, and
+        system: System with its bounds and parameters.
+        hold: Whether controls and disturbances with equal bounds are constants. If false, all controls are free and
             disturbances are absent.
     """
     n = len(system.states)
@@ -66,20 +65,20 @@ def dependences(system: System, *, hold: bool = True) -> tuple[Dependence, ...]:
     try:
         rates = system.equations(_TracedMath(), system.parameters)(x, u, d)
         found = [rate.dependence if isinstance(rate, _TracedNumber) else Dependence() for rate in rates]
-    except Exception:  # a number that has no value may make any function fail
+    except Exception:  # any function may fail on a number without a value
         controls, disturbances = _true_indices(free_u), _true_indices(free_d)
         found = [_bent(Dependence(frozenset(range(n)), controls, disturbances))] * n
     return tuple(found)
 
 
 def check_game(system: System) -> None:
-    """Refuse a system whose disturbance is not at its worst at its bounds.
+    """Check that the worst disturbance lies at the bounds.
 
-    The solvers try the corners of the disturbance's box. The worst disturbance is one of them where each derivative is
-    affine in the disturbance and its effect does not depend on the control.
+    The solvers try only the corners of the disturbance's box. The worst disturbance is a corner if each derivative is
+    affine in the disturbance and the effect of the disturbance does not depend on the control.
 
     Raises:
-        TimeToReachError: The derivative of a state, which is named, depends on the disturbance otherwise.
+        TimeToReachError: Some derivative depends on the disturbance in another way; names the state.
     """
     for state, rate in zip(system.states, dependences(system), strict=True):
         wrong = "control and disturbance together" if rate.coupled else "more than linearly"
@@ -96,10 +95,10 @@ def is_affine(system: System) -> bool:
 
 
 def check_affine_controls(system: System) -> None:
-    """Refuse a system whose best control may lie inside its bounds.
+    """Check that the best control lies at the bounds.
 
     Raises:
-        TimeToReachError: The derivative of a state, which is named, is not affine in the controls.
+        TimeToReachError: A derivative is not affine in the controls; names the state.
     """
     for state, rate in zip(system.states, dependences(system), strict=True):
         if rate.control_degree > AFFINE:
@@ -118,9 +117,9 @@ def _true_indices(flags: list[bool]) -> frozenset[int]:
 
 
 class _TracedNumber:
-    """A number without a value that remembers what it depends on."""
+    """Number without a value that records its dependences."""
 
-    __array_ufunc__ = None  # NumPy's numbers leave arithmetic with it to it
+    __array_ufunc__ = None  # arithmetic with NumPy scalars is delegated to this class
     __slots__ = ("dependence",)
 
     def __init__(self, dependence: Dependence) -> None:
@@ -165,7 +164,7 @@ class _TracedNumber:
 
 
 class _TracedMath:
-    """A namespace like `math`: its constants, and functions that bend whatever they are given."""
+    """Namespace like `math`: its constants, and functions that count as nonlinear in their arguments."""
 
     def __getattr__(self, name: str) -> Any:
         constant = getattr(math, name, None)
@@ -182,7 +181,7 @@ def _function(real: Callable[..., Any] | None) -> Callable[..., Any]:
 
 
 def _apply(*arguments: Any) -> _TracedNumber:
-    """Return the result of a function that need not be linear, of numbers some of which are traced."""
+    """Return the traced result of a possibly nonlinear function of numbers, some of which are traced."""
     known = _TracedNumber(Dependence())
     for argument in arguments:
         known = _join(known, argument, max)
@@ -190,7 +189,7 @@ def _apply(*arguments: Any) -> _TracedNumber:
 
 
 def _bent(given: Dependence) -> Dependence:
-    """Return the dependence of a function that need not be linear."""
+    """Return the dependence of a possibly nonlinear function."""
     return replace(
         given,
         control_degree=_NONLINEAR if given.controls else 0,
@@ -204,7 +203,7 @@ def _join(
 ) -> _TracedNumber:
     a, b = one.dependence, other.dependence if isinstance(other, _TracedNumber) else Dependence()
     if not isinstance(other, _TracedNumber):
-        float(other)  # TypeError for what is no number
+        float(other)  # raises TypeError for non-numbers
     meet = bool((a.controls and b.disturbances) or (a.disturbances and b.controls))
     return _TracedNumber(
         Dependence(

@@ -1,7 +1,7 @@
-"""Check of a system's equations where a problem is made: they are run on states of its grid, all in one go.
+"""Checks of a system's equations when a problem is created: they are evaluated on states of its grid, all at once.
 
-The solvers give the equations arrays in which each number is another state. So equations may not branch, may use only
-functions that work number by number, and must give a finite derivative at every node.
+The solvers pass arrays of states to the equations. So equations must not branch, may use only elementwise functions,
+and must give a finite derivative at every node.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from ctrl_rl_core import Axis, System
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]
-_RANDOM = 128  # random states on the nodes
-_EACH = 4  # states at each node of each axis, with random nodes of the other axes
-_MOST_CORNERS = 729  # states made of the ends and the middle of each axis
-_ONE_BY_ONE = 8  # states that are also computed alone
-_SAME = 1e-9  # relative difference up to which two derivatives are the same
+_RANDOM = 128  # number of random nodes
+_EACH = 4  # number of states per node of each axis, with random nodes of the other axes
+_MOST_CORNERS = 729  # maximum number of states that combine the ends and the middle of each axis
+_ONE_BY_ONE = 8  # number of states also evaluated one at a time
+_SAME = 1e-9  # relative tolerance for equal derivatives
 _FUNCTIONS = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot floor ceil fabs fmod copysign"
 _BRANCH = "a branch is arithmetic: (x[0] > 1) * a + (x[0] <= 1) * b"
 
 
 def check_names(system: System) -> None:
-    """Refuse names that stand for two components, and disturbances that are not one for each state.
+    """Check that component names are unique and that there is one disturbance per state.
 
     Raises:
-        TimeToReachError: A name, which is given, comes twice, or the number of disturbances is wrong.
+        TimeToReachError: A name is duplicated (named), or the number of disturbances is wrong.
     """
     names = [quantity.name for quantity in (*system.states, *system.controls)]
     for name in names:
@@ -44,19 +44,19 @@ def check_names(system: System) -> None:
 
 
 def check_equations(system: System, axes: Sequence[Axis]) -> Array:
-    """Refuse equations that the solvers cannot run all over the grid.
+    """Check that the solvers can evaluate the equations everywhere on the grid.
 
     Args:
-        system: System whose names and bounds are right.
+        system: System with valid names and bounds.
         axes: Axis of each state.
 
     Returns:
-        Largest absolute derivative of each state (n,) that was met.
+        Largest absolute derivative found for each state (n,).
 
     Raises:
-        TimeToReachError: The equations cannot be called, raise an error, give another number of derivatives than there
-            are states, no real and finite number, depend on how many states are computed at once, or lack a
-            disturbance that has bounds. The state is named, and what to write instead.
+        TimeToReachError: The equations are not callable, raise an exception, return a number of derivatives other than
+            the number of states or values that are not finite real numbers, give different results for one state and
+            for many, or ignore a disturbance that has bounds. Names the state and the remedy.
     """
     states, u, d = _grid_states(axes), _samples(system.control_bounds), _samples(system.disturbance_bounds)
     f = _run(system, lambda: system.equations(np, system.parameters), "cannot be made")
@@ -71,7 +71,7 @@ def check_equations(system: System, axes: Sequence[Axis]) -> Array:
 
 
 def _grid_states(axes: Sequence[Axis]) -> Array:
-    """Return nodes (k, n): every node of every axis, ends and middles together, and random ones."""
+    """Return nodes (k, n): every node of every axis, combinations of ends and middles, and random nodes."""
     random = np.random.default_rng(0)
     nodes = [axis.nodes for axis in axes]
 
@@ -83,7 +83,7 @@ def _grid_states(axes: Sequence[Axis]) -> Array:
         some = draw(_EACH * len(each))
         some[:, k] = np.repeat(each, _EACH)
         parts.append(some)
-    # A singularity tends to lie at zero, or in the middle.
+    # A singularity is most likely at zero or in the middle.
     ends = [(each[0], each[np.argmin(np.abs(each))], each[-1]) for each in nodes]
     middles = [(each[0], each[len(each) // 2], each[-1]) for each in nodes]
     parts.extend(np.array(list(product(*some))[:_MOST_CORNERS]) for some in (ends, middles))
@@ -91,15 +91,15 @@ def _grid_states(axes: Sequence[Axis]) -> Array:
 
 
 def _samples(bounds: Array) -> list[Array]:
-    """Return the middle of a box (2, m), both ends of all components, and a point between."""
+    """Return the centre of a box (2, m), its two extreme corners, and one point between."""
     low, high = bounds
     points = [low + share * (high - low) for share in (0.5, 0.0, 1.0, 0.3)]
     return points if (low < high).any() else points[:1]
 
 
 def _rates(system: System, f: Any, states: Array, u: Array, d: Array) -> Array:
-    """Run the equations on all states at once, and return the derivatives (k, n)."""
-    # As the solvers do: states along the first axis, controls along the second.
+    """Evaluate the equations at all states at once, and return the derivatives (k, n)."""
+    # Same shapes as in the solvers: states along the first axis, controls along the second.
     x = tuple(np.moveaxis(states[:, None], -1, 0))
     given = tuple(np.moveaxis(np.array([u, u]), -1, 0)), tuple(np.moveaxis(np.array([d, d]), -1, 0))
     found = _run(system, lambda: f(x, *given), "fail")
@@ -149,7 +149,7 @@ def _check_finite(system: System, states: Array, rates: Array, pairs: list[tuple
 
 
 def _check_one_by_one(system: System, f: Any, states: Array, rates: Array, pairs: list[tuple[Array, Array]]) -> None:
-    """Refuse functions like `max`, which take all states for one list of numbers."""
+    """Reject functions such as `max` that treat the array of states as one list of numbers."""
     some = np.linspace(0, len(states) - 1, _ONE_BY_ONE).astype(int)
     alone = np.stack([[_rates(system, f, states[i : i + 1], *pair)[0] for i in some] for pair in pairs])
     together = rates[:, some]
@@ -163,10 +163,10 @@ def _check_one_by_one(system: System, f: Any, states: Array, rates: Array, pairs
 
 
 def check_disturbances(system: System, axes: Sequence[Axis]) -> None:
-    """Refuse a disturbance that has bounds and acts on nothing, because the equations forgot it.
+    """Check that every disturbance with bounds acts on a derivative: the equations may have omitted it.
 
     Raises:
-        TimeToReachError: The disturbance is named.
+        TimeToReachError: A disturbance has no effect; it is named.
     """
     f, states, controls = system.equations(np, system.parameters), _grid_states(axes), _samples(system.control_bounds)
     for k, disturbance in enumerate(system.disturbances):
@@ -187,7 +187,7 @@ def check_disturbances(system: System, axes: Sequence[Axis]) -> None:
 
 
 def place(system: System, state: Array) -> str:
-    """Return a state (n,) as text: `x 0.5 m, theta 1.57 rad`."""
+    """Format a state (n,) as text: `x 0.5 m, theta 1.57 rad`."""
     return ", ".join(f"{s.name} {number:.4g} {s.unit}" for s, number in zip(system.states, state, strict=True))
 
 
@@ -201,7 +201,7 @@ def _run(system: System, call: Any, fails: str) -> Any:
     try:
         with np.errstate(all="ignore"):
             return call()
-    except Exception as error:  # anything that a user's function may raise
+    except Exception as error:  # a user's function may raise anything
         reason, hint = _short(str(error) or type(error).__name__), _hint(error)
         raise TimeToReachError(f"{system.name}: the equations {fails}: {reason}{hint}") from error
 

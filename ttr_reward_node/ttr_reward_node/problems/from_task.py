@@ -1,4 +1,4 @@
-"""The time-to-reach problem that a navigation task describes.
+"""Time-to-reach problem of a navigation task.
 
 problem = problem_from_task("car_ttr")
 """
@@ -44,22 +44,22 @@ def problem_from_task(
     disturbances: Mapping[str, Sequence[float]] | None = None,
     control_counts: int | tuple[int, ...] | Mapping[str, int] | None = None,
 ) -> TimeToReachProblem:
-    """Make the problem that a navigation task describes.
+    """Create the time-to-reach problem of a navigation task.
 
     Args:
         task: Navigation task with a `grid`, its name or its file.
-        counts: Number of nodes by state name, or one for each state, in place of the task's.
-        inflation: Distance by which walls and obstacles are widened [m], such as the robot's radius; 0 for a point
-            robot. Walls thinner than a cell need it.
+        counts: Number of nodes by state name, or one for each state; default: the task's.
+        inflation: Distance by which walls and obstacles are inflated [m], e.g. the robot's radius; 0 for a point robot.
+            Walls thinner than a cell require it.
         width: Width of the task's corridor [m]; None for the task's own.
-        disturbances: Bounds by name ("d_" and the state's name); no disturbance unless given.
+        disturbances: Bounds by name ("d_" and the state's name); none by default.
         control_counts: Number of samples of each control that the solver tries: one for all, one for each, or by
-            control name; None, and what is not named, is chosen.
+            control name. None and controls not named are chosen automatically.
 
     Raises:
-        TimeToReachError: the task has no grid, or its corridor's goal is not a box along the axes; unknown states in
+        TimeToReachError: The task has no grid, or its corridor's goal is not a box along the axes; unknown states in
             `counts`; an inflation that is negative or not a number; walls or obstacles thinner than a cell.
-        TaskError, SystemModelError: the task or the disturbance is wrong.
+        TaskError, SystemModelError: The task or the disturbance is invalid.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
@@ -88,7 +88,7 @@ def problem_from_task(
 
 
 def _clearance(task: NavigationTask, axes: tuple[Axis, ...], world: World, inflation: float) -> Clearance | None:
-    """Return the clearance of a task's walls and obstacles; None for a system without positions."""
+    """Return the clearance from a task's walls and obstacles; None for a system without positions."""
     names = [axis.name for axis in axes]
     plane = tuple(position_indices(names))
     walls = "xy" if task.arena is None or task.arena.z is None else "xz"
@@ -109,7 +109,7 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
     """Return the system with disturbance bounds by name ("d_" and the state's name).
 
     Raises:
-        TimeToReachError: an unknown name, or a lower bound above the upper one.
+        TimeToReachError: An unknown name, or a lower bound above the upper one.
     """
     known = {disturbance.name for disturbance in system.disturbances}
     for name, (lower, upper) in bounds.items():
@@ -125,10 +125,10 @@ def with_disturbances(system: System, bounds: Mapping[str, Sequence[float]]) -> 
 
 
 def disturbances_from_notes(notes: Mapping[str, str]) -> dict[str, tuple[float, float]]:
-    """Return the bounds of the disturbances that a value file was solved for, by name.
+    """Return the disturbance bounds of a value file by name.
 
     Raises:
-        TimeToReachError: The note is none that `solve` writes.
+        TimeToReachError: The note was not written by `solve`.
     """
     text = notes.get("disturbances", "{}")
     try:
@@ -142,7 +142,7 @@ def disturbances_from_notes(notes: Mapping[str, str]) -> dict[str, tuple[float, 
 
 
 def _corridor_goal(task: NavigationTask, corridor: CorridorSpec, width: float | None) -> Region:
-    """Return the goal of a corridor, given along its path, as a box of positions."""
+    """Return the goal of a corridor, specified along its path, as a box of positions."""
     goal, path = task.goal.intervals, corridor.path
     along = goal.get("s", Interval(0.0, path.length))
     (x, y, heading), (_, _, end) = path.pose((along.low, along.high))

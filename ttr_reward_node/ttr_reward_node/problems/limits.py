@@ -1,4 +1,4 @@
-"""Limits of the state: the grid's ends, and the system's own bounds where those are tighter."""
+"""Limits of the state: the ends of the grid, or the system's own bounds if these are tighter."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from ctrl_rl_core import Axis, System
 from ttr_reward_node.errors import TimeToReachError
 
-_SAME = 1e-9  # of an axis's length: bounds that are nearer to its end than this are the end, rounded
+_SAME = 1e-9  # fraction of an axis's length: a bound closer to the axis's end counts as that end
 
 
 def state_limits(system: System, axes: Sequence[Axis]) -> NDArray[np.float64]:
     """Return the range (2, n) within which each state must stay: lower and upper limit, in the state's unit.
 
-    The grid's ends, tightened by the state's own bounds; -inf and inf along a periodic axis. The bounds of a periodic
-    state name its period and limit nothing.
+    These are the grid's ends, tightened by the state's own bounds; -inf and inf along a periodic axis. The bounds of a
+    periodic state define its period and are no limits.
     """
     limits = np.empty((2, len(axes)))
     for k, (axis, state) in enumerate(zip(axes, system.states, strict=True)):
@@ -34,7 +34,7 @@ def state_limits(system: System, axes: Sequence[Axis]) -> NDArray[np.float64]:
 
 
 def tighter_limits(system: System, axes: Sequence[Axis]) -> dict[str, tuple[float, float]]:
-    """Return the limits by state name where the state's bounds end before its axis does."""
+    """Return, by state name, the limits of states whose bounds are tighter than their axes."""
     limits = state_limits(system, axes)
     return {
         axis.name: (float(low), float(high))
@@ -44,10 +44,10 @@ def tighter_limits(system: System, axes: Sequence[Axis]) -> dict[str, tuple[floa
 
 
 def check_grid_within_limits(system: System, axes: Sequence[Axis], method: str) -> None:
-    """Refuse a grid that goes beyond the state's own bounds, for a method that knows no limits but the grid's ends.
+    """Check that the grid stays within the state's bounds, for a method whose only limits are the ends of the grid.
 
     Raises:
-        TimeToReachError: An axis, which is named, goes beyond the bounds.
+        TimeToReachError: An axis extends beyond the bounds; it is named.
     """
     for name, (low, high) in tighter_limits(system, axes).items():
         raise TimeToReachError(

@@ -1,4 +1,4 @@
-"""Walls and obstacles of a task as the clearance at the nodes, and whether the grid is fine enough for them."""
+"""Clearance from a task's walls and obstacles at the nodes, and a check that the grid resolves them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctrl_rl_core import Axis, Box, Disc, Interval, Shape, signed_distance
 from ttr_reward_node.errors import TimeToReachError
 
 Array = NDArray[np.float64]
-_SPARE = 1.05  # to rounding
+_SPARE = 1.05  # margin for rounding
 
 
 def make_clearance(
@@ -21,13 +21,14 @@ def make_clearance(
     """Return the distance to the nearest obstacle at the nodes of two axes, shape (count, count) [m].
 
     Args:
-        shapes: Walls and obstacles that paths must not leak through.
-        arena: Intervals outside of which all is solid [m], so that its walls need no thickness; None for no arena.
+        shapes: Walls and obstacles that paths must not pass through.
+        arena: Intervals outside of which everything is solid [m], so that its walls need no thickness; None for no
+            arena.
         axes: Two axes of the plane of positions.
-        inflation: Distance by which walls and obstacles are widened [m].
+        inflation: Distance by which walls and obstacles are inflated [m].
 
     Raises:
-        TimeToReachError: a shape is thinner than a cell, so that nodes on either side of it can be neighbours.
+        TimeToReachError: A shape is thinner than a cell, so that nodes on either side of it can be neighbours.
     """
     points = np.stack(np.meshgrid(*(axis.nodes for axis in axes), indexing="ij"), axis=-1)
     _check_thickness(shapes, axes, points, inflation)
@@ -44,7 +45,7 @@ def _check_thickness(shapes: Sequence[Shape], axes: Sequence[Axis], points: Arra
     for shape in shapes:
         for thickness, cell in _thicknesses(shape, spacings):
             lack = _SPARE * cell - thickness - 2.0 * inflation
-            # What lies outside the grid does not matter.
+            # Ignore shapes outside the grid.
             if lack > lacking and np.any(shape.signed_distance(points) <= math.hypot(*spacings)):
                 lacking, thinnest = lack, thickness
     if lacking > 0.0:
@@ -56,7 +57,7 @@ def _check_thickness(shapes: Sequence[Shape], axes: Sequence[Axis], points: Arra
 
 
 def _thicknesses(shape: Shape, spacings: Sequence[float]) -> list[tuple[float, float]]:
-    """Return how thick a shape is in its own directions, and how far a cell extends in each of them [m]."""
+    """Return the thickness of a shape along its own directions, and the extent of a cell along each [m]."""
     if isinstance(shape, Disc):
         return [(2.0 * shape.radius, math.hypot(*spacings))]
     assert isinstance(shape, Box)

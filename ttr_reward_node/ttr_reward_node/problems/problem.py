@@ -1,10 +1,10 @@
-"""A time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and obstacles.
+"""Time-to-reach problem (thesis Eq. 2.17-2.20): a system on a grid, a target, and obstacles.
 
     problem = TimeToReachProblem(system, axes, target=Region({"x": Interval(-0.1, 0.1)}))
 
-Between the nodes the target is exact: it is kept as intervals and a disc, not as marked nodes. Obstacles are kept as
-the clearance at the nodes and interpolated between them. What leaves the grid on an axis that is not periodic, or the
-state's own bounds, has failed.
+The target is stored exactly, as intervals and a disc, not as marked nodes. Obstacles are stored as the clearance at the
+nodes and interpolated between them. A trajectory fails when it leaves the grid along a non-periodic axis, or the
+state's own bounds.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from ttr_reward_node.problems.problem_checks import (
 )
 from ttr_reward_node.problems.velocity_hulls import VelocityHulls
 
-_ROUNDING = 1e-9  # of an axis's length
+_ROUNDING = 1e-9  # fraction of an axis's length
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Distance to the nearest obstacle at the nodes of some of the axes.
+    """Distance to the nearest obstacle at the nodes of one or two axes.
 
     Attributes:
-        axes: indices of those axes, ascending; at most two.
-        values: shape (count of the first of them, ...) [m], negative inside an obstacle.
+        axes: Indices of these axes, ascending; at most two.
+        values: Distances (count of the first axis, ...) [m], negative inside an obstacle.
     """
 
     axes: tuple[int, ...]
@@ -62,21 +62,21 @@ class TimeToReachProblem:
     """Find phi(x), the shortest time from x to the target.
 
     Attributes:
-        system: x' = f(x, u, d); u shortens the time, d prolongs it.
-        axes: one for each state of the system, in its order.
-        target: Gamma of Eq. 2.17; state components that it does not bound are free.
+        system: x' = f(x, u, d); u minimises the time, d maximises it.
+        axes: One axis for each state of the system, in its order.
+        target: Gamma of Eq. 2.17; state components without bounds are free.
         clearance: Distance to the obstacles at the nodes; None for no obstacles.
-        control_counts: Samples of each control between its bounds, one number for all or one for each. None chooses,
-            and can be read afterwards: three for a system that is affine in u, where two are enough for the Hamiltonian
-            and the middle saves switching to and fro; else as many as `control_choice` finds.
-        more_controls: Controls that are tried besides those; where the counts are chosen, these are as well.
+        control_counts: Samples of each control between its bounds, one number for all or one for each. None chooses a
+            number, which can be read afterwards: three for a system affine in u, where two would suffice for the
+            Hamiltonian and the middle avoids chattering; otherwise the result of `control_choice`.
+        more_controls: Additional controls to try; chosen along with the counts.
         name: Name of the task, for the value file.
-        digest: SHA-256 of the task; empty where there is no task file, and `content_digest` then stands for it.
+        digest: SHA-256 of the task; if empty (no task file), `content_digest` replaces it.
         inflation: Distance by which the clearance has been reduced [m], for the record.
         corridor_width: Width of the task's corridor [m], for the record; None without a corridor.
 
     Raises:
-        TimeToReachError: anything that contradicts the above.
+        TimeToReachError: An attribute is invalid or inconsistent with the others.
     """
 
     system: System
@@ -117,7 +117,7 @@ class TimeToReachProblem:
 
     @cached_property
     def content_digest(self) -> str:
-        """SHA-256 of the task; without one that of system, axes, target and, where there is one, clearance."""
+        """SHA-256 of the task; without a task, that of system, axes, target and, if present, clearance."""
         return self.digest or self._own_digest()
 
     @cached_property
@@ -132,19 +132,19 @@ class TimeToReachProblem:
 
     @property
     def disturbances(self) -> dict[str, tuple[float, float]]:
-        """Bounds by name of the disturbances that are not zero throughout, also of those that are held."""
+        """Bounds by name of the disturbances that are not identically zero, including constant ones."""
         return {d.name: (d.lower, d.upper) for d in self.system.disturbances if (d.lower, d.upper) != (0.0, 0.0)}
 
     @cached_property
     def control_samples(self) -> NDArray[np.float64]:
-        """Controls (k, m) that the solvers try, and that roll-outs choose from."""
-        assert self.control_counts is not None  # chosen where the problem was made
+        """Controls (k, m) tried by the solvers and by roll-outs."""
+        assert self.control_counts is not None  # chosen in __post_init__
         even = sample_controls(self._hulls, self.control_counts)
         return np.concatenate((even, np.reshape(self.more_controls, (len(self.more_controls), even.shape[1]))))
 
     @cached_property
     def control_doubt(self) -> str:
-        """Line that says that the controls have too few samples, and what to change; empty where they have enough."""
+        """Warning that the controls have too few samples, with a remedy; empty if they have enough."""
         assert self.control_counts is not None
         return control_doubt(self._hulls, self.control_counts, self.control_samples)
 
@@ -157,9 +157,9 @@ class TimeToReachProblem:
         return state_limits(self.system, self.axes)
 
     def wrap(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Return a copy of states (..., n) with those along periodic axes in [lower, upper) of the axis.
+        """Return a copy of states (..., n), wrapped along periodic axes to [lower, upper) of the axis.
 
-        A periodic state along an axis that is not periodic stays as it is: it may leave the grid.
+        A periodic state on a non-periodic axis is not wrapped: it may leave the grid.
         """
         wrapped = np.array(states, dtype=np.float64)
         for k, axis in enumerate(self.axes):
@@ -170,7 +170,7 @@ class TimeToReachProblem:
         return wrapped
 
     def outside(self) -> NDArray[np.bool_]:
-        """Whether each node lies outside the limits, shape of the grid; none does where the axes end within them."""
+        """Whether each node lies outside the limits, shape of the grid; all false if the axes end within the limits."""
         beyond = np.zeros((1,) * len(self.axes), dtype=bool)
         for k, axis in enumerate(self.axes):
             low, high = self.limits[:, k]
@@ -178,7 +178,7 @@ class TimeToReachProblem:
         return np.broadcast_to(beyond, self.counts)
 
     def along(self, axis: int, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (count,) at the nodes of one axis, shaped to broadcast over the grid."""
+        """Reshape values (count,) at the nodes of one axis to broadcast over the grid."""
         shape = [1] * len(self.axes)
         shape[axis] = -1
         return values.reshape(shape)
@@ -199,7 +199,7 @@ class TimeToReachProblem:
         return np.broadcast_to(inside, self.counts)
 
     def reached(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each of some states (..., n) lies in the target, up to rounding."""
+        """Whether each state (..., n) lies in the target, up to rounding."""
         x = np.array(states, dtype=np.float64)
         for k, axis in enumerate(self.axes):
             if axis.periodic and axis.name in self.target.intervals:
@@ -209,7 +209,7 @@ class TimeToReachProblem:
 
     @cached_property
     def _rounded_target(self) -> Region:
-        """The target, wider by what rounding takes away."""
+        """Target enlarged by the rounding tolerance."""
         slack = {axis.name: _ROUNDING * (axis.upper - axis.lower) for axis in self.axes}
         intervals = {
             name: Interval(low - slack[name], high + slack[name]) for name, (low, high) in self.target.intervals.items()
@@ -220,7 +220,7 @@ class TimeToReachProblem:
         return Region(intervals, disc)
 
     def left(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each of some states (..., n) lies outside the limits, by more than rounding."""
+        """Whether each state (..., n) lies outside the limits by more than the rounding tolerance."""
         slack = np.array([_ROUNDING * (axis.upper - axis.lower) for axis in self.axes])
         x = np.asarray(states, dtype=np.float64)
         return np.asarray(((x < self.limits[0] - slack) | (x > self.limits[1] + slack)).any(axis=-1))
@@ -232,12 +232,12 @@ class TimeToReachProblem:
         return np.broadcast_to(self.spread(self.clearance.values) <= 0.0, self.counts)
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values on the axes of the clearance, shaped to broadcast over the grid."""
+        """Reshape values on the axes of the clearance to broadcast over the grid."""
         assert self.clearance is not None
         return values.reshape([axis.count if k in self.clearance.axes else 1 for k, axis in enumerate(self.axes)])
 
     def obstacle_notes(self) -> dict[str, str]:
-        """Return a value file's notes on walls and obstacles [m]."""
+        """Return the notes on walls and obstacles for a value file [m]."""
         notes = {"obstacles": "no" if self.clearance is None else "yes", "inflation": repr(float(self.inflation))}
         if self.corridor_width is not None:
             notes["corridor_width"] = repr(float(self.corridor_width))
@@ -255,7 +255,7 @@ class TimeToReachProblem:
             "axes": [asdict(axis) for axis in self.axes],
             "target": [dict(self.target.intervals), None if self.target.disc is None else asdict(self.target.disc)],
         }
-        if self.clearance is not None:  # without one the digest is that of earlier versions
+        if self.clearance is not None:  # problems without a clearance keep the digest of earlier versions
             values = np.ascontiguousarray(self.clearance.values, dtype="<f4")
             content["clearance"] = [list(self.clearance.axes), hashlib.sha256(values.tobytes()).hexdigest()]
         if limits := tighter_limits(system, self.axes):  # likewise

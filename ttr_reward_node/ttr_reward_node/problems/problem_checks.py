@@ -1,4 +1,4 @@
-"""Checks of a time-to-reach problem, run where it is made, in Python or from a task."""
+"""Checks of a time-to-reach problem when it is created, in Python or from a task."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ctrl_rl_core import Axis, Quantity, Region, System, position_indices
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.problems.equation_checks import check_names
 
-_PERIOD = 1e-3  # relative error of a period, such as that of 3.14 for a half turn
-_MOST_DIMENSIONS = 6  # the kernels' tables have room for the 2^6 corners of a cell
+_PERIOD = 1e-3  # relative tolerance of a period, e.g. for 3.14 as half a turn
+_MOST_DIMENSIONS = 6  # the kernels' tables hold the 2^6 corners of a cell
 
 
 def check_system(system: System) -> None:
-    """Refuse bounds that are not finite or not in order, and names that stand for two components.
+    """Check that bounds are finite and ordered, and that component names are unique.
 
     Raises:
-        TimeToReachError: The bounds of a control or disturbance, which is named, are wrong.
+        TimeToReachError: The bounds of a control or disturbance are invalid; it is named.
     """
     check_names(system)
     for quantity in (*system.controls, *system.disturbances):
@@ -33,11 +33,11 @@ def check_system(system: System) -> None:
 
 
 def check_axes(system: System, axes: Sequence[Axis]) -> None:
-    """Refuse axes that do not suit the states of a system.
+    """Check that the axes match the states of a system.
 
     Raises:
-        TimeToReachError: The axes have other names, there are too many, or one goes round that the state does not, or
-            another way round.
+        TimeToReachError: The axes have other names than the states, there are too many, or an axis and its state differ
+            in being periodic or in the period.
     """
     names = system.state_names
     if tuple(axis.name for axis in axes) != names:
@@ -54,9 +54,9 @@ def check_axes(system: System, axes: Sequence[Axis]) -> None:
 
 
 def _check_period(axis: Axis, state: Quantity) -> None:
-    """Refuse an axis of a periodic state that is longer than the period, or periodic with another one.
+    """Reject an axis of a periodic state that is longer than the period, or periodic with another period.
 
-    One that is not periodic may be as long as the period or shorter: a heading that must not leave a range.
+    A non-periodic axis may be at most as long as the period: a heading restricted to a range.
     """
     period, length = state.upper - state.lower, axis.upper - axis.lower
     if abs(length - period) <= _PERIOD * period or (length < period and not axis.periodic):
@@ -71,22 +71,22 @@ def _check_period(axis: Axis, state: Quantity) -> None:
 
 
 def least_count(periodic: bool) -> int:
-    """Return how many nodes an axis needs along which something moves."""
+    """Return the minimum number of nodes on an axis along which the system moves."""
     return 8 if periodic else 5
 
 
 def check_counts(axes: Sequence[Axis], speeds: NDArray[np.float64]) -> None:
-    """Refuse axes that have too few nodes to carry a step of two or three cells.
+    """Check that each axis has enough nodes for a step of two or three cells.
 
-    A periodic axis needs room for such a step to either side, and two nodes that no step confuses. An axis along which
-    nothing moves needs no more than two nodes.
+    A periodic axis needs room for such a step in either direction and two more nodes, so that opposite steps end at
+    different nodes. An axis along which nothing moves needs only two nodes.
 
     Args:
         axes: Axis of each state.
         speeds: Largest absolute derivative of each state (n,).
 
     Raises:
-        TimeToReachError: An axis, which is named, has too few nodes.
+        TimeToReachError: An axis has too few nodes; it is named.
     """
     for axis, speed in zip(axes, speeds, strict=True):
         least = least_count(axis.periodic)
@@ -98,10 +98,10 @@ def check_counts(axes: Sequence[Axis], speeds: NDArray[np.float64]) -> None:
 
 
 def check_target(target: Region, axes: Sequence[Axis], limits: NDArray[np.float64]) -> None:
-    """Refuse a target that is no set, or that lies outside the limits of the state (2, n).
+    """Check that the target is a valid set within the limits of the state (2, n).
 
     Raises:
-        TimeToReachError: An interval or the disc, which is named, is wrong.
+        TimeToReachError: An interval or the disc is invalid; it is named.
     """
     by_name = {axis.name: k for k, axis in enumerate(axes)}
     for name, (low, high) in target.intervals.items():
@@ -132,10 +132,10 @@ def _check_within(axis: Axis, limits: NDArray[np.float64], low: float, high: flo
 
 
 def check_clearance(spanned: Sequence[int], values: NDArray[Any], axes: Sequence[Axis]) -> None:
-    """Refuse a clearance that does not fit the grid or is no distance.
+    """Check that a clearance fits the grid and consists of finite distances.
 
     Args:
-        spanned: Indices of the axes that the clearance spans.
+        spanned: Indices of the axes of the clearance.
         values: Distances at the nodes of these axes [m].
         axes: Axes of the grid, one for each state.
 

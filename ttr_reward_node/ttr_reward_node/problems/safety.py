@@ -1,4 +1,4 @@
-"""A game of safety on a grid: the system, the axes, and the sets that both players choose from."""
+"""Safety game on a grid: the system, the axes, and the sets from which both players choose."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SafetyGame:
-    """x' = f(x, u, d): the control u keeps the margin large, the disturbance d makes it small.
+    """x' = f(x, u, d): the control u maximises the margin, the disturbance d minimises it.
 
-    The control may be any of the vertices of its box, which is enough where f is affine in it, as all models of
-    `ctrl_rl_core.systems` are: the best control is then bang-bang. Other systems, and sets that are no boxes, such as a
-    mover's speed in any direction, take finite sets.
+    By default the control is a vertex of its box, which suffices if f is affine in it, as in all models of
+    `ctrl_rl_core.systems`: the best control is then bang-bang. Use finite sets for other systems, and for sets that are
+    not boxes, such as a mover's speed in any direction.
 
     Attributes:
         system: Dynamics, with the bounds of controls and disturbances.
@@ -33,8 +33,8 @@ class SafetyGame:
         disturbances: Finite set of disturbances (k, n); None for the vertices of the system's bounds.
 
     Raises:
-        TimeToReachError: Axes or sets do not suit the system, an axis goes beyond its state's bounds, or the best
-            control or worst disturbance need not lie at the bounds, which alone are tried.
+        TimeToReachError: Axes or sets do not match the system, an axis goes beyond its state's bounds, or the best
+            control or worst disturbance may lie between the bounds, of which only the vertices are tried.
     """
 
     system: System
@@ -66,7 +66,7 @@ class SafetyGame:
             check_disturbances(self.system, self.axes)
 
     def pairs(self) -> tuple[Array, Array, int]:
-        """Return controls (p, m) and disturbances (p, n) of all pairs, and how many disturbances, the faster index."""
+        """Return controls (p, m) and disturbances (p, n) of all pairs, and the count of disturbances (vary fastest)."""
         controls = self.controls
         if controls is None:
             controls = self.system.control_samples(2)

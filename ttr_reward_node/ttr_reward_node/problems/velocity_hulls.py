@@ -1,9 +1,9 @@
-"""Sets of velocities of a system, f(x, U) at states of its grid, and how well samples of its controls span them.
+"""Sets of velocities f(x, U) of a system at states of its grid, and how well control samples span them.
 
-What counts of such a set is its convex hull, and of the hull its support function: the largest p . f(x, u) along a
-direction p. A front of equal times that is normal to p moves at that speed. So what samples miss of it is told twice:
-as a part of half the set's width, and as a part of the speed itself. Against a current nearly as fast as the boat the
-second is many times the first.
+Only the convex hull of such a set matters, described by its support function: the largest p . f(x, u) along a direction
+p. A front of equal times with normal p moves at that speed. So the error of the samples is measured in two ways:
+relative to half the width of the set, and relative to the speed of the front. Against a current nearly as fast as the
+boat, the second is many times the first.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from ttr_reward_node.problems.limits import state_limits
 Array = NDArray[np.float64]
 
 _STATES = 64
-_DIRECTIONS = 32  # at each state: of all directions, and of those that lead against its mean velocity
-_CONE = 0.5  # spread of the latter
-_DENSE = (1025, 33, 11, 7)  # samples of each of 1, 2, 3, 4 controls to compare with
-_RANDOM = 512  # random controls to compare with
-_HALVINGS = 12  # of the distance between those, to find the best control along each direction
-_NARROW = 0.05  # of the largest width along a state's axis: sets that are narrower there are measured by this
-_CREEP = 0.05  # of half the width: fronts that are slower are measured by this
+_DIRECTIONS = 32  # number of random directions per state, and again of directions against its mean velocity
+_CONE = 0.5  # spread of the directions against the mean velocity
+_DENSE = (1025, 33, 11, 7)  # reference samples per control for 1, 2, 3 and 4 controls
+_RANDOM = 512  # number of random reference controls
+_HALVINGS = 12  # halvings of the sample distance in the search for the best control along each direction
+_NARROW = 0.05  # minimum width of a set as a reference, relative to the largest along the state's axis
+_CREEP = 0.05  # minimum speed of a front as a reference, relative to half the width
 
 
 class Supports(NamedTuple):
     """Support functions of the sets.
 
     Attributes:
-        largest: p . f(x, u) of the best control (states, directions); a direction p has the unit 1 / f.
-        controls: The best controls (states, directions, m).
+        largest: Largest p . f(x, u) over the controls (states, directions); a direction p has the unit 1 / f.
+        controls: Maximising controls (states, directions, m).
         half: Half of the set's width (states, directions).
     """
 
@@ -53,7 +53,7 @@ class VelocityHulls:
     axes: Sequence[Axis]
 
     def controls(self, counts: int | Sequence[int]) -> Array:
-        """Return evenly spaced controls (k, m), without the end of a whole turn."""
+        """Return evenly spaced controls (k, m), without the duplicate end of a full turn."""
         each = [counts] * len(self.system.controls) if isinstance(counts, int) else list(counts)
         ticks = [
             np.linspace(c.lower, c.upper, 1 if c.lower == c.upper else count)[: -1 if turns and count > 2 else None]
@@ -62,27 +62,27 @@ class VelocityHulls:
         return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(each))
 
     def samples(self, counts: int | Sequence[int]) -> int:
-        """Return the number of those controls."""
+        """Return the number of controls that `controls` returns."""
         return len(self.controls(counts))
 
     def missing_width(self, controls: Array) -> float:
-        """Return by how much the hull of controls (k, m) is smaller than the true one, as a part of half its width."""
+        """Return the largest deficit of the hull of controls (k, m), relative to half the width of the true hull."""
         missing = self._true.largest - self._supports(controls)
         return float(np.max(missing / self._true.half, initial=0.0))
 
     def missing_speed(self, controls: Array) -> float:
-        """Return by how much controls (k, m) are slower than the best ones, as a part of the speed of a front."""
+        """Return the largest speed deficit of controls (k, m), relative to the speed of a front."""
         return float(np.max((self._true.largest - self._supports(controls)) / self._speeds, initial=0.0))
 
     def complete(self, controls: Array, accuracy: float, most: int) -> Array:
-        """Return controls to try besides some (k, m), until no front is slower by more than a part of its speed.
+        """Return controls to add to `controls`, until no front is slower by more than a given fraction.
 
-        Each is the best one where those before it miss most.
+        Each added control is the best one in the direction with the largest deficit so far.
 
         Args:
-            controls: Controls that are there (k, m).
-            accuracy: Part of a front's speed that may be missing.
-            most: Number of controls in all.
+            controls: Existing controls (k, m).
+            accuracy: Tolerated deficit as a fraction of a front's speed.
+            most: Maximum total number of controls.
         """
         found = self._supports(controls)
         more: list[Array] = []
@@ -104,7 +104,7 @@ class VelocityHulls:
 
     @cached_property
     def _turns(self) -> list[bool]:
-        """Whether each control does the same at both of its bounds."""
+        """Whether each control has the same effect at both of its bounds."""
         random, (low, high) = np.random.default_rng(2), self.system.control_bounds
         turns = []
         for k in range(len(low)):
@@ -119,7 +119,7 @@ class VelocityHulls:
 
     @cached_property
     def _dense(self) -> Array:
-        """Many controls: a grid that is as fine as a few thousand allow, and random ones."""
+        """Reference controls: a grid of a few thousand at most, and random ones."""
         random, (low, high) = np.random.default_rng(3), self.system.control_bounds
         free = int(np.count_nonzero(low < high))
         some = random.uniform(low, high, (_RANDOM, len(low)))
@@ -129,7 +129,7 @@ class VelocityHulls:
 
     @cached_property
     def _directions(self) -> Array:
-        """Directions (states, directions, n), each component by the range of that derivative."""
+        """Directions (states, directions, n), each component scaled by the range of that derivative."""
         velocities = [self._velocities(x, self._dense) for x in self._states]
         width = np.max([np.ptp(each, axis=0) for each in velocities], axis=0)
         moved = np.flatnonzero(width > 0.0)
@@ -152,12 +152,12 @@ class VelocityHulls:
 
     @cached_property
     def _speeds(self) -> Array:
-        """Speeds by which to measure what is missing; half of the width where no control leads along the direction."""
+        """Reference speeds of fronts; half of the width if no control moves along the direction."""
         largest, _, half = self._true
         return np.where(largest > 0.0, np.clip(largest, _CREEP * half, half), half)
 
     def _best(self, sign: float) -> tuple[Array, Array]:
-        """Return the largest sign * p . f(x, u) (states, directions), and the controls (states, directions, m)."""
+        """Return the largest sign * p . f(x, u) (states, directions), and its controls (states, directions, m)."""
         directions, (low, high) = sign * self._directions, self.system.control_bounds
         found = [self._velocities(x, self._dense) @ p.T for x, p in zip(self._states, directions, strict=True)]
         largest = np.array([each.max(axis=0) for each in found])

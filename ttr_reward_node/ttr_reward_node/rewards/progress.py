@@ -1,11 +1,11 @@
-"""Rewards for the seconds that a step brings the goal nearer, paid beside the task's own reward.
+"""Rewards for progress towards the goal, measured in seconds of time to reach, added to the task's own reward.
 
-`best_progress` is the default everywhere: phi counts where it falls below its minimum of the episode, and nothing is
-taken back. An episode then pays at most `per_second` phi(start), whichever way it goes; thesis Eq. 3.9 pays -phi at
-each step, so that on a long way a collision soon costs less than to drive on.
+`best_progress` is the default everywhere: it pays only when phi falls below its minimum so far in the episode, and
+never takes anything back. An episode then pays at most `per_second` phi(start), whatever the path; thesis Eq. 3.9 pays
+-phi at each step, so that on a long path a collision soon costs less than driving on.
 
-Every kind is told the seconds to the goal at the start and after each step, +inf where there is no way. All work on
-arrays (N,), one element for each of N robots, and on single numbers alike.
+Every kind receives the seconds to the goal at the start and after each step, +inf if the goal cannot be reached. All
+work on arrays (N,), one element for each of N robots, and on single numbers.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from ttr_reward_node.rewards.rewards import (
 Array = NDArray[np.float64]
 
 PER_SECOND = 300.0
-"""Reward for a second of progress in the suite's tasks, where a goal pays 1000 and a collision -400.
+"""Reward per second of progress in the suite's tasks, where a goal pays 1000 and a collision -400.
 
-At 100 a learner keeps away from a narrow gap: the half second that a careful step gains does not pay for the collisions
-on the way to it."""
+At 100, a learner avoids narrow gaps: the half second gained by a careful step does not offset the collisions on the way
+to it."""
 
 
 class Pay(Protocol):
-    """A kind of pay for progress."""
+    """Interface of the progress rewards."""
 
     def begin(self, seconds: ArrayLike, which: ArrayLike = True) -> None:
-        """Begin episodes at times to reach (N,) [s], of those robots only for which `which` (N,) is true."""
+        """Begin episodes at times to reach (N,) [s], only for the robots for which `which` (N,) is true."""
 
     def step(self, seconds: ArrayLike, ended: ArrayLike) -> Array:
-        """Return what a step pays (N,).
+        """Return the reward of a step (N,).
 
         Args:
             seconds: Times to reach after the step (N,) [s].
-            ended: Whether the episode has ended at goal, collision or trap (N,); not by its time limit.
+            ended: Whether the episode has ended at a goal, collision or trap (N,), but not by its time limit.
         """
 
 
 class Progress:
-    """Pays each second gained and takes back each second lost; where there is no way, the longest time counts."""
+    """Pays each second gained and deducts each second lost; unreachable states count as the longest time."""
 
     def __init__(self, longest: float, per_second: float = PER_SECOND) -> None:
         self._longest, self._per_second, self._last = longest, per_second, np.asarray(longest)
@@ -67,10 +67,10 @@ class Progress:
 
 
 class BestProgress:
-    """Pays each second that the goal comes nearer than ever before in the episode, and takes nothing back.
+    """Pays each second by which the time to reach falls below its minimum so far in the episode; deducts nothing.
 
-    A way that crosses a barrier, where the time to reach jumps up, costs nothing, and no circle pays twice: an episode
-    pays at most the time to reach of its start.
+    Crossing a barrier, where the time to reach jumps up, costs nothing, and no loop pays twice: an episode pays at most
+    `per_second` times the time to reach of its start.
     """
 
     def __init__(self, longest: float, per_second: float = PER_SECOND) -> None:
@@ -85,9 +85,9 @@ class BestProgress:
 
 
 class Shaping:
-    """Potential-based shaping gamma Phi(s') - Phi(s), Phi = per_second (longest - phi), 0 where an episode ends.
+    """Potential-based shaping gamma Phi(s') - Phi(s), Phi = per_second (longest - phi), and 0 when an episode ends.
 
-    Ng, Harada and Russell 1999: it changes no optimal policy.
+    It preserves the optimal policy (Ng, Harada and Russell 1999).
     """
 
     def __init__(self, longest: float, gamma: float, per_second: float = PER_SECOND) -> None:
@@ -112,11 +112,12 @@ PAYS: Mapping[str, MakePay] = MappingProxyType(
         "shaping": lambda longest, per_second, discount: Shaping(longest, discount, per_second),
     }
 )
-"""Kinds of pay by name, the default first; made from the longest time [s], the reward per second and the discount."""
+"""Progress rewards by name, the default first; constructed from the longest time [s], the reward per second and the
+discount."""
 
 
 class Potential(Protocol):
-    """Seconds to the goal.
+    """Seconds to the goal as a function of the state.
 
     Attributes:
         longest: Largest finite value [s].
@@ -125,14 +126,14 @@ class Potential(Protocol):
     longest: float
 
     def times(self, states: Array) -> Array:
-        """Return the times (N,) from states (N, n) to the goal [s]; +inf where there is no way."""
+        """Return the times (N,) from states (N, n) to the goal [s]; +inf if it cannot be reached."""
 
 
 class TimeToReach:
-    """The time to reach as a reward, for `train` and for the wrapper `TimeToReachReward`.
+    """Time to reach as a reward, for `train` and the wrapper `TimeToReachReward`.
 
-    A state outside the grid is looked up at the nearest one within: a robot that is faster than the grid goes is paid
-    as at the grid's edge. A state from which no way is known (phi = +inf) is no progress.
+    A state outside the grid is looked up at the nearest state on it: a robot faster than the grid's limit is paid as at
+    the grid's edge. A state that cannot reach the goal (phi = +inf) counts as no progress.
 
     >>> import ctrl_rl
     >>> value = ctrl_rl.solve("car_ttr", counts=(41, 41, 24))
@@ -141,18 +142,18 @@ class TimeToReach:
     True
 
     Args:
-        value: Time to reach that `solve` returns.
+        value: Time-to-reach function, as returned by `solve`.
         kind: A key of `PAYS`: "best_progress", "progress" or "shaping".
-        per_second: Reward for a second of progress.
-        discount: Discount of a step, which "shaping" needs to know.
+        per_second: Reward per second of progress.
+        discount: Discount factor per step, used by "shaping".
 
     Attributes:
         longest: Largest finite time [s].
-        domain: Smallest and largest states that are looked up (2, n).
+        domain: Lower and upper bounds of the states looked up (2, n).
 
     Raises:
-        TimeToReachError: The kind is unknown, a number is not finite, or nothing outside the goal reaches it.
-        ValueFunctionError: The value is no time to reach.
+        TimeToReachError: The kind is unknown, a number is not finite, or no state outside the goal can reach it.
+        ValueFunctionError: The value is not a time to reach.
     """
 
     def __init__(
@@ -175,35 +176,35 @@ class TimeToReach:
         self.value = value
 
     def times(self, states: ArrayLike) -> Array:
-        """Return the times (N,) from states (N, n) to the goal [s]; +inf where there is no way."""
+        """Return the times (N,) from states (N, n) to the goal [s]; +inf if it cannot be reached."""
         times = self.value.value(np.clip(states, *self.domain))
         return np.where(np.isnan(times), np.inf, times)
 
     def check_states(self, names: Sequence[str]) -> None:
-        """Refuse states of other components than the value's.
+        """Check that the state components are those of the value.
 
         Raises:
-            TimeToReachError: They are others.
+            TimeToReachError: The components differ.
         """
         if tuple(names) != tuple(self.value.state_names):
             known = ", ".join(self.value.state_names)
             raise TimeToReachError(f"the time to reach is of the states {known}; here they are {', '.join(names)}")
 
     def pay(self) -> Pay:
-        """Return a new pay that has no episode yet."""
+        """Return a new progress reward without an episode."""
         return PAYS[self.kind](self.longest, self.per_second, self.discount)
 
     def for_robots(self, count: int) -> PotentialReward:
-        """Return the reward of a fleet of so many robots."""
+        """Return the reward for a fleet of `count` robots."""
         return PotentialReward(self, self.pay(), count)
 
 
 class PotentialReward:
-    """Pays progress beside the task's own rewards, for the robots of a fleet.
+    """Adds progress rewards to the task's own rewards, for the robots of a fleet.
 
     Args:
         potential: Seconds to the goal.
-        pay: Pay of all robots.
+        pay: Progress reward of all robots.
         robots: Number of robots.
     """
 
@@ -211,17 +212,17 @@ class PotentialReward:
         self._potential, self._pay, self._robots = potential, pay, robots
 
     def begin(self, robots: Sequence[int], states: Array) -> None:
-        """Begin episodes of robots at their states (len(robots), n)."""
+        """Begin episodes of robots at the states (len(robots), n)."""
         seconds, which = np.zeros(self._robots), np.zeros(self._robots, dtype=bool)
         seconds[list(robots)], which[list(robots)] = self._potential.times(states), True
         self._pay.begin(seconds, which)
 
     def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
-        """Return what a step pays each robot (N,).
+        """Return the reward of a step for each robot (N,).
 
         Args:
             states: States after the step (N, n).
-            outcomes: Outcomes of their episodes, values of `Outcome` (N,).
+            outcomes: Outcomes of the episodes, values of `Outcome` (N,).
             rewards: Rewards of the task (N,).
         """
         seconds = np.where(outcomes == Outcome.GOAL, 0.0, self._potential.times(states))
@@ -230,14 +231,14 @@ class PotentialReward:
 
 
 class ProgressEvaluator:
-    """Pays one robot's best progress from state to state, beside what the task pays for the end of an episode.
+    """Pays one robot's best progress from state to state, and the task's reward at the end of an episode.
 
-    What a robot is paid in any span of time is the sum of the rewards in it, however many states there are. An episode
-    begins with the first state, with the first one that is back to RUNNING, and with `begin`.
+    The rewards in any time span sum to the progress in it, however many states there are. An episode begins with the
+    first state, with the first state that is RUNNING again, and after a call to `begin`.
 
     Args:
         evaluate: Evaluator of the task's states.
-        reward: Time to reach of the task, of the kind that is paid.
+        reward: Time to reach of the task, with the kind of progress reward.
     """
 
     def __init__(self, evaluate: RewardEvaluator, reward: TimeToReach) -> None:
@@ -245,11 +246,11 @@ class ProgressEvaluator:
         self._last: Outcome | None = None
 
     def begin(self) -> None:
-        """Let an episode begin with the next state."""
+        """Begin an episode at the next state."""
         self._last = None
 
     def __call__(self, state: Array, phi: float) -> EvaluatedReward:
-        """Return outcome and reward of a state (n,) whose time to reach is phi [s], +inf or NaN."""
+        """Return outcome and reward of a state (n,) with time to reach phi [s], which may be +inf or NaN."""
         outcome, at_end = self._evaluate(state, phi)
         last, self._last = self._last, outcome
         arrived = outcome is Outcome.GOAL

@@ -1,4 +1,4 @@
-"""Relabelling of a recorded bag with time-to-reach rewards, for offline learning."""
+"""Relabelling of recorded bags with time-to-reach rewards, for offline learning."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ def relabel(
     replace: bool = False,
     progress: bool = False,
 ) -> int:
-    """Write a bag again with the topics `reward` and `time_to_reach`, one message of each per odometry message.
+    """Copy a bag and add the topics `reward` and `time_to_reach`, one message each per odometry message.
 
-    The topics have the type hash and the quality of service of those that the reward node publishes.
+    Type hash and quality of service of the topics are those of the reward node.
 
     Args:
         bag: Bag with odometry in the frame of the value function.
         output: Folder of the new bag, which must not exist.
-        function: Time to reach of the task.
-        evaluator: Evaluator that gives the reward of a state.
-        robot: Namespace of the topics; none where it is empty.
-        odometry: Topic of the odometry, in the namespace unless it begins with /.
-        frame: Frame of the function's positions, in which values and rewards are given, as the node does.
-        replace: Whether rewards and values that the bag already has are left out.
-        progress: Whether a progress bar is shown on a terminal.
+        function: Time-to-reach function of the task.
+        evaluator: Evaluator of the reward of a state.
+        robot: Namespace of the topics; empty for none.
+        odometry: Odometry topic, relative to the namespace unless it begins with /.
+        frame: Frame of the function's positions, and of the written values and rewards, as in the node.
+        replace: Whether to omit rewards and values that the bag already has.
+        progress: Whether to show a progress bar on a terminal.
 
     Returns:
-        Number of odometry messages that were labelled.
+        Number of labelled odometry messages.
 
     Raises:
-        TimeToReachError: the bag has no odometry, or has rewards that are not to be replaced.
-        BagError: the bag cannot be read, or the output exists.
+        TimeToReachError: The bag has no odometry, or it has rewards and `replace` is false.
+        BagError: The bag cannot be read, or the output exists.
     """
     prefix = f"/{robot.strip('/')}" if robot else ""
     odom = odometry if odometry.startswith("/") else f"{prefix}/{odometry}"
@@ -88,7 +88,7 @@ def relabel(
 
 
 class _MessageRelabeller:
-    """Answers each odometry message of a bag with a reward and a value, serialized."""
+    """Returns a serialized reward and value for each odometry message of a bag."""
 
     def __init__(
         self,

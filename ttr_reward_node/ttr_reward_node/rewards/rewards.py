@@ -3,12 +3,12 @@
     reward = make_reward("ttr", load_navigation_task("car_ttr"), ValueGrid.load("car_ttr.safetensors"))
     reward(states, outcomes)                 # (N, n), (N,) -> (N,)
 
-An intermediate state pays -phi(x), 0 or -d(x); how an episode ends pays what the task file says, the same for each.
+An intermediate state pays -phi(x), 0 or -d(x); the end of an episode pays the same for all rewards, as set in the task.
 
-Two rules complete Eq. 3.9. A state that is not in the domain of the value function (a quadrotor that flies faster
-than the grid goes) is looked up at the nearest state that is. And a state from which the goal cannot be reached
-(phi = +inf), or for which there is no value (NaN), counts as the furthest from which it can: to pay more for it, as for
-a whole episode, makes robots stop short of a goal that has such states beside it.
+Two rules complete Eq. 3.9. A state outside the domain of the value function (e.g. a quadrotor faster than the grid's
+limit) is looked up at the nearest state inside. A state from which the goal cannot be reached (phi = +inf), or without
+a value (NaN), counts as the longest finite time: a larger penalty, e.g. that of a whole episode, makes robots stop
+short of a goal with such states next to it.
 """
 
 from __future__ import annotations
@@ -29,42 +29,42 @@ from ttr_reward_node.errors import TimeToReachError
 Array = NDArray[np.float64]
 
 KIND = "time_to_reach"
-"""Kind of the value functions that rewards are made from."""
+"""Kind of value function required by the rewards."""
 DISTANCE_WEIGHTS = {"distance_0": 0.0, "distance_0.1": 0.1, "distance_1": 1.0, "distance_10": 10.0}
-"""lambda, the weight of the squared angle [m^2/rad^2], by the reward's name."""
+"""Weight lambda of the squared angle [m^2/rad^2] by reward name."""
 REWARDS = ("sparse", *DISTANCE_WEIGHTS, "ttr")
 """Rewards of Table 3.3 by name."""
 PROGRESS = "ttr_progress"
-"""Name of the reward for the best progress of the time to reach, see `progress`."""
+"""Name of the reward for best progress in the time to reach, see `progress`."""
 TRAINING_REWARDS = (PROGRESS, *REWARDS)
-"""Rewards to learn with."""
+"""Rewards available for training."""
 
 
 def time_to_reach_reward(phi: ArrayLike, longest: float) -> Array:
     """Return -phi (Eq. 3.9, s in I).
 
     Args:
-        phi: Times to reach (N,) [s], +inf where the goal cannot be reached, NaN where it is not known.
-        longest: Largest time to reach [s], at which phi is cut, and for which +inf and NaN count.
+        phi: Times to reach (N,) [s]; +inf if the goal cannot be reached, NaN if unknown.
+        longest: Largest time to reach [s]; phi is clipped to it, and +inf and NaN are replaced by it.
 
     Returns:
-        (N,) from -longest to 0.
+        Rewards (N,) from -longest to 0.
     """
     times = np.asarray(phi, dtype=float)
     return -np.clip(np.where(np.isnan(times), longest, times), 0.0, longest)
 
 
 def distance_reward(states: ArrayLike, names: Sequence[str], goal: Region, weight: float) -> Array:
-    """Return -d (Table 3.3): minus the Euclidean distance to the middle of the goal, its angle weighted.
+    """Return -d (Table 3.3): minus the Euclidean distance to the centre of the goal, with a weighted angle.
 
     Args:
         states: States (N, n) in SI units.
         names: Names of the state's components.
-        goal: Region with a disc or intervals of two positions and, where `weight` is not 0, an interval of one angle.
+        goal: Region with a disc or intervals of two positions and, if `weight` is not 0, an interval of one angle.
         weight: Weight lambda of the squared angle [m^2/rad^2].
 
     Raises:
-        TimeToReachError: the goal has no such middle.
+        TimeToReachError: The goal has no such centre.
     """
     states = np.asarray(states, dtype=float)
     positions, angles = _middle(names, goal, weight)
@@ -77,10 +77,10 @@ def distance_reward(states: ArrayLike, names: Sequence[str], goal: Region, weigh
 
 
 def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the middle of a goal: two positions by name and, where `weight` is not 0, an angle by name.
+    """Return the centre of a goal: two positions by name and, if `weight` is not 0, an angle by name.
 
     Raises:
-        TimeToReachError: it has no middle.
+        TimeToReachError: The goal has no centre.
     """
     angles = {name: goal.intervals[name].centre for name in goal.intervals if name in ANGLES} if weight else {}
     positions = {name: goal.intervals[name].centre for name in goal.intervals if name in ("x", "y", "z")}
@@ -95,13 +95,13 @@ def _middle(names: Sequence[str], goal: Region, weight: float) -> tuple[dict[str
 
 @dataclass(frozen=True)
 class Reward:
-    """One of the rewards of a task, made by `make_reward`.
+    """Reward of a task, created by `make_reward`.
 
     Attributes:
         name: Name of the reward, one of `REWARDS`.
-        task: Task that the reward belongs to.
+        task: Task of the reward.
         value: Time-to-reach function of the task; None for the other rewards.
-        domain: Least and largest states (2, n) at which the value is looked up, infinite where there is no bound.
+        domain: Lower and upper bounds of states (2, n) at which the value is looked up, infinite if unbounded.
         longest: Largest finite time to reach of the function [s].
     """
 
@@ -112,7 +112,7 @@ class Reward:
     longest: float
 
     def intermediate(self, states: ArrayLike) -> Array:
-        """Return what the states (N, n) pay while an episode goes on (N,)."""
+        """Return the rewards (N,) of states (N, n) during an episode."""
         states = np.asarray(states, dtype=float)
         if self.value is not None:
             return time_to_reach_reward(self.value.value(np.clip(states, *self.domain)), self.longest)
@@ -122,23 +122,23 @@ class Reward:
         return distance_reward(states, names, self.task.goal.region, DISTANCE_WEIGHTS[self.name])
 
     def __call__(self, states: ArrayLike, outcomes: ArrayLike, tilted: ArrayLike = False) -> Array:
-        """Return the rewards (N,) of states (N, n) with the outcomes (N,) of their episodes."""
+        """Return the rewards (N,) of states (N, n) for the outcomes (N,) of their episodes."""
         running = np.asarray(outcomes) == Outcome.RUNNING
         return np.where(running, self.intermediate(states), terminal_reward(outcomes, self.task.rewards, tilted))
 
 
 def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = None) -> Reward:
-    """Return a reward of Table 3.3.
+    """Create a reward of Table 3.3.
 
     Args:
         name: Name of the reward, one of `REWARDS`.
-        task: Task that the reward belongs to.
-        value: Time to reach of the task; only "ttr" needs it.
+        task: Task of the reward.
+        value: Time-to-reach function of the task; required only by "ttr".
 
     Raises:
-        TimeToReachError: there is no such reward; "ttr" without a value, or with one that says nothing; a distance to
-            a goal that has no middle.
-        ValueFunctionError: the value does not belong to the task.
+        TimeToReachError: There is no such reward; "ttr" without an informative value; a distance to a goal without a
+            centre.
+        ValueFunctionError: The value does not belong to the task.
     """
     if name not in REWARDS:
         raise TimeToReachError(f"no reward '{name}': there are {', '.join(REWARDS)}")
@@ -157,10 +157,10 @@ def make_reward(name: str, task: NavigationTask, value: ValueFunction | None = N
 
 
 def check_informative(value: ValueFunction) -> None:
-    """Refuse a time to reach that knows of no way to the goal: its reward would be the same everywhere.
+    """Reject a time-to-reach function without any path to the goal: its reward would be constant.
 
     Raises:
-        TimeToReachError: it is finite nowhere but in the goal.
+        TimeToReachError: It is finite only in the goal.
     """
     if longest_time(value) == 0.0:
         raise TimeToReachError(
@@ -170,13 +170,13 @@ def check_informative(value: ValueFunction) -> None:
 
 
 def longest_time(value: ValueFunction | None) -> float:
-    """Return the largest finite time of the grids that a value consists of [s]."""
+    """Return the largest finite time in the grids of a value [s]."""
     grids = () if value is None else value.grids
     return max((float(grid.values.max(initial=0.0, where=np.isfinite(grid.values))) for grid in grids), default=0.0)
 
 
 def value_domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
-    """Return the bounds (2, n) of the grids that a value consists of; a periodic axis has none."""
+    """Return the bounds (2, n) of the grids of a value; infinite along a periodic axis."""
     domain = np.tile([[-np.inf], [np.inf]], (1, len(names)))
     for grid in () if value is None else value.grids:
         for axis in grid.axes:
@@ -188,27 +188,27 @@ def value_domain(value: ValueFunction | None, names: Sequence[str]) -> Array:
 
 
 class EvaluatedReward(NamedTuple):
-    """Set that a state lies in, and its reward; NaN for an intermediate state outside the value function."""
+    """Outcome of a state and its reward; NaN for an intermediate state outside the value function."""
 
     outcome: Outcome
     reward: float
 
 
 class RewardEvaluator:
-    """Evaluates the rewards of one task's states.
+    """Evaluates the rewards of states of one task.
 
     Args:
         task: Task with the rewards and the sets G and C.
-        function: Time to reach of the task.
+        function: Time-to-reach function of the task.
         width: Width of the task's corridor [m], None for its own.
 
     Attributes:
-        up_to_date: whether the function was made for this very version of the task.
+        up_to_date: Whether the function was computed for the same version of the task.
 
     Raises:
-        TaskError: the width does not suit the task.
-        ValueFunctionError: the function does not belong to the task.
-        TimeToReachError: the function knows of no way to the goal.
+        TaskError: The width does not fit the task.
+        ValueFunctionError: The function does not belong to the task.
+        TimeToReachError: No state outside the goal can reach it, according to the function.
     """
 
     def __init__(self, task: NavigationTask, function: ValueFunction, width: float | None = None) -> None:
@@ -219,11 +219,11 @@ class RewardEvaluator:
         self._longest = longest_time(function)
 
     def __call__(self, state: NDArray[np.float64], phi: float) -> EvaluatedReward:
-        """Return outcome and reward of a state (n,) whose time to reach is phi [s], +inf or NaN."""
+        """Return outcome and reward of a state (n,) with time to reach phi [s], which may be +inf or NaN."""
         outcome = Outcome(int(self._sets.outcomes(state)))
         if outcome is not Outcome.RUNNING:
             return EvaluatedReward(outcome, float(terminal_reward(outcome, self._rewards)))
-        # A learner may need a number where nothing is known; whoever reads a topic shall see that nothing is.
+        # A learner needs a number even for unknown values; on a topic, NaN shows that the value is unknown.
         return EvaluatedReward(
             outcome, math.nan if math.isnan(phi) else float(time_to_reach_reward(phi, self._longest))
         )

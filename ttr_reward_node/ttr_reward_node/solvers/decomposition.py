@@ -1,12 +1,12 @@
-"""Time-to-reach of a large system from small ones (thesis section 3.2.2; Mo Chen et al. 2016).
+"""Time to reach of a large system from those of small subsystems (thesis section 3.2.2; Mo Chen et al. 2016).
 
     value = solve_decomposed("quad_ttr", PLANAR_QUADROTOR_4D)
-    value.value(states), value.free                 # same questions as to a ValueGrid; who may do what he likes
+    value.value(states), value.free                 # same interface as ValueGrid; free states and controls
 
-A subsystem keeps some states. Another state that its dynamics need but that it does not keep becomes one more control,
-within that state's grid axis; and each subsystem chooses controls that others share as if it were alone. Each has thus
-more freedom than the whole, and its target and obstacles are the shadows of the whole's. So every sub-value, and their
-maximum, is a lower bound of the true time to reach; `verification.decomposition_error` measures by how much.
+A subsystem keeps some of the states. Any other state in its dynamics becomes an additional control, bounded by that
+state's grid axis; and each subsystem chooses shared controls independently. Each subsystem thus has more freedom than
+the whole, and its target and obstacles are projections of the whole's. So every sub-value, and their maximum, is a
+lower bound of the true time to reach; `verification.decomposition_error` measures the gap.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from ttr_reward_node.values.decomposed_value import DecomposedValue
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Names of the states that each subsystem keeps; subsystems may share states."""
+    """Names of the states kept by each subsystem; subsystems may share states."""
 
     name: str
     subsystems: tuple[tuple[str, ...], ...]
 
 
 PLANAR_QUADROTOR_4D = Decomposition("4d+4d", (("x", "v_x", "psi", "omega"), ("z", "v_z", "psi", "omega")))
-"""Decomposition of the thesis: both halves have pitch and pitch rate."""
+"""Decomposition of the thesis: both halves contain pitch and pitch rate."""
 
 PLANAR_QUADROTOR_FIVE = Decomposition("five", (("x",), ("z",), ("omega",), ("v_x", "psi"), ("v_z", "psi")))
 """Decomposition of the published code."""
@@ -52,12 +52,12 @@ DECOMPOSITIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Subsystem:
-    """A part of a problem.
+    """Part of a problem.
 
     Attributes:
         problem: Problem over the kept states.
-        free: States and controls that the subsystem chooses for itself, though in the whole system something else
-            decides them: states that it needs but does not keep, and controls that it shares with another subsystem.
+        free: States and controls that the subsystem chooses freely although the whole system does not: states in its
+            dynamics that it does not keep, and controls shared with another subsystem.
     """
 
     problem: TimeToReachProblem
@@ -68,7 +68,7 @@ def find_decomposition(system: System, name: str) -> Decomposition:
     """Return a decomposition of a system by its name.
 
     Raises:
-        TimeToReachError: the system has none of that name.
+        TimeToReachError: The system has no decomposition of that name.
     """
     known = DECOMPOSITIONS.get(system.name, {})
     if name not in known:
@@ -78,10 +78,10 @@ def find_decomposition(system: System, name: str) -> Decomposition:
 
 
 def split(problem: TimeToReachProblem, decomposition: Decomposition) -> tuple[Subsystem, ...]:
-    """Split a problem.
+    """Split a problem into subsystems.
 
     Raises:
-        TimeToReachError: an unknown state, one that no subsystem keeps, or a disturbance.
+        TimeToReachError: An unknown state, a state that no subsystem keeps, or a disturbance.
     """
     names = problem.system.state_names
     kept = [name for states in decomposition.subsystems for name in states]
@@ -116,14 +116,14 @@ def solve_decomposed(
 
     Args:
         problem: Problem, or a navigation task, its name or its file.
-        decomposition: States that each subsystem keeps.
+        decomposition: States kept by each subsystem.
         method: Name of the solver, one of `solver.METHODS`.
-        counts: Number of nodes by state name, or one for each state, in place of the task's.
+        counts: Number of nodes by state name, or one for each state; default: the task's.
         progress: Function called after each sweep with its number and the largest change [s].
-        device: Device on which each is solved, as for `solve`.
+        device: Device on which each subsystem is solved, as for `solve`.
 
     Raises:
-        TimeToReachError: The decomposition does not suit the problem, or `solve` refuses a subsystem.
+        TimeToReachError: The decomposition does not fit the problem, or `solve` rejects a subsystem.
     """
     parts = solve_parts(problem, decomposition, method, counts=counts, progress=progress, device=device)
     return join(decomposition, *parts)
@@ -138,7 +138,7 @@ def solve_parts(
     progress: Progress | None = None,
     device: str = "cpu",
 ) -> tuple[TimeToReachProblem, tuple[Subsystem, ...], tuple[Solution, ...]]:
-    """Solve each subsystem, as `solve_decomposed`, and return the problem, its subsystems and their solutions."""
+    """Solve each subsystem as `solve_decomposed` does; return the problem, its subsystems and their solutions."""
     if not isinstance(problem, TimeToReachProblem):
         problem = problem_from_task(problem, counts=counts)
     subsystems = split(problem, decomposition)
@@ -165,7 +165,7 @@ def join(
 
 
 def _dependence_names(problem: TimeToReachProblem) -> list[set[str]]:
-    """Return for each state which states and controls its derivative depends on; controls that are held count."""
+    """Return, for each state, the states and controls in its derivative, including constant controls."""
     system = problem.system
     return [
         {system.state_names[k] for k in rate.states} | {system.control_names[k] for k in rate.controls}
@@ -176,7 +176,7 @@ def _dependence_names(problem: TimeToReachProblem) -> list[set[str]]:
 def _make_subproblem(
     problem: TimeToReachProblem, states: tuple[str, ...], borrowed: tuple[str, ...], used: tuple[str, ...]
 ) -> TimeToReachProblem:
-    """Return the problem of the kept states, with borrowed states as controls."""
+    """Return the problem over the kept states, with borrowed states as controls."""
     whole, names = problem.system, problem.system.state_names
     kept = [names.index(name) for name in states]
     lent = [
@@ -201,7 +201,7 @@ def _make_subproblem(
         parameters=whole.parameters,
         equations=_sub_equations(whole.equations, tuple(sources), tuple(kept), nominal),
     )
-    counts = problem.control_counts  # those of other controls, and not of borrowed states, which may be angles
+    counts = problem.control_counts  # not valid for borrowed states, which may be angles
     return replace(
         problem,
         system=system,
@@ -217,13 +217,13 @@ def _make_subproblem(
 def _sub_equations(
     whole: Equations, sources: tuple[tuple[int, int], ...], kept: tuple[int, ...], nominal: tuple[float, ...]
 ) -> Equations:
-    """Return the whole's equations for some states.
+    """Return the equations of the whole system restricted to some states.
 
     Args:
         whole: Equations of the whole system.
-        sources: Where each state and control of the whole comes from.
-        kept: Indices of the states.
-        nominal: Disturbance of the whole, for the states that are not kept.
+        sources: Source of each state and control of the whole: kind (0 kept state, 1 control, 2 zero) and index.
+        kept: Indices of the kept states.
+        nominal: Disturbance of the whole, for the states not kept.
     """
     states = len(nominal)
 
@@ -245,7 +245,7 @@ def _sub_equations(
 
 
 def _project_target(target: Region, names: Sequence[str], states: Sequence[str]) -> Region:
-    """Return the target as the kept states see it: what some values of the others complete to a state in the target."""
+    """Project the target onto the kept states: all values that the other states can complete to a target state."""
     intervals = {name: interval for name, interval in target.intervals.items() if name in states}
     disc: Disc | None = target.disc
     if disc is not None:
@@ -260,7 +260,7 @@ def _project_target(target: Region, names: Sequence[str], states: Sequence[str])
 
 
 def _project_clearance(clearance: Clearance | None, kept: Sequence[int]) -> Clearance | None:
-    """Return the clearance as the kept states see it: the most that the others can have."""
+    """Project the clearance onto the kept states: its maximum over the others."""
     if clearance is None:
         return None
     axes = tuple(k for k in clearance.axes if k in kept)

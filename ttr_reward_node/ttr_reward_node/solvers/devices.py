@@ -1,4 +1,4 @@
-"""Devices on which the semi-Lagrangian solver sweeps: the CPU by Numba, a GPU by NVIDIA Warp."""
+"""Devices for the semi-Lagrangian sweeps: the CPU with Numba, a GPU with NVIDIA Warp."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from ttr_reward_node.solvers.steps import Layout, Steps
 from ttr_reward_node.solvers.sweeper import Sweeper, make_sweeper
 
 CPU = "cpu"
-"""The default device: compiled by Numba, and the reference for all others."""
-_ON_GPU = 13.0, 8.0, 5e8  # bytes of a node: two buffers, choice, flag; of a step besides its moves; of the rest
-_MOST_NODES = 2**31 - 1  # numbers of nodes have 32 bits
+"""Default device, compiled by Numba; the reference for all others."""
+_ON_GPU = 13.0, 8.0, 5e8  # bytes per node (two buffers, choice, flag); per step without its moves; for the rest
+_MOST_NODES = 2**31 - 1  # node indices have 32 bits
 
 MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, StepTable, Grid, float], Sweeper]
 
 
 def find_device(device: str) -> MakeSweeper:
-    """Return the function that makes the sweeper of a problem on a device.
+    """Return the factory of sweepers for a device.
 
     Args:
         device: "cpu"; "cuda" or "cuda:N" for a GPU; or "warp:cpu", the GPU's kernels on the CPU, slow, for tests.
 
     Raises:
-        TimeToReachError: No such device, or Warp is not installed; the message says what to do.
+        TimeToReachError: There is no such device, or Warp is not installed; the message states the remedy.
     """
     if device == CPU:
         return _on_cpu
@@ -40,7 +40,7 @@ def find_device(device: str) -> MakeSweeper:
     if device == "warp:cpu":
         _import_warp(device)
         return partial(_on_warp, "cpu")
-    # Warp would warn on its own if there is no driver.
+    # Suppress Warp's own warning about a missing driver.
     gpus = _import_warp(device).get_cuda_device_count() if _driver_is_there() else 0
     number = int(device.partition(":")[2] or 0)
     if number >= gpus:
@@ -63,7 +63,7 @@ def _import_warp(device: str) -> Any:
         raise TimeToReachError(
             f"device '{device}' needs NVIDIA Warp, which is not installed: pip install warp-lang"
         ) from None
-    warp.config.log_level = warp.LOG_ERROR  # no banner between a command's lines
+    warp.config.log_level = warp.LOG_ERROR  # no banner in a command's output
     warp.init()
     return warp
 

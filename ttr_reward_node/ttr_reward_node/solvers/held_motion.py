@@ -1,7 +1,7 @@
-"""Motion of a system under a held control, until it has moved a given number of cells.
+"""Motion of a system under a constant control until it has moved a given number of cells.
 
-The semi-Lagrangian scheme sets the length of a step on the grid, not its duration: a slow state gets as much time as
-it needs. So the validity of a step does not depend on how much faster the system moves elsewhere.
+The semi-Lagrangian scheme fixes the length of a step on the grid, not its duration: a slow state gets as much time as
+it needs. So the accuracy of a step does not depend on how much faster the system moves elsewhere.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from ctrl_rl_core import System
 
 Array = NDArray[np.float64]
 
-_ROOM_OF_DISTURBANCE = 0.5  # of a step's length: what disturbances may change at its end, where the others wait
-_BENT = 0.5  # cells: largest effect of the second stage's correction in a Runge-Kutta step that is trusted
-_HALVINGS = 40  # at most; the duration of a step that is still not smooth then is set to 0
-_SPEED_UP = 4.0  # largest factor by which the correction of a duration prolongs a step
-_NUDGE = 0.2  # cells: a step that ends this near to its plane is moved onto it along its last rate
-_FAR = 0.1  # of its length: a step whose end is farther from its plane than this is computed again
-_CORRECTIONS = 2  # of the durations of such steps
-_SNAP = 1e-4  # cells: moves that are this near to whole cells are whole
+_ROOM_OF_DISTURBANCE = 0.5  # displacement by disturbances up to which a slow pair may continue, per step length
+_BENT = 0.5  # largest correction by the second stage of an accepted Runge-Kutta step [cells]
+_HALVINGS = 40  # maximum number; a step that is still not smooth gets the duration 0
+_SPEED_UP = 4.0  # largest factor by which a correction prolongs a step
+_NUDGE = 0.2  # an end closer to its plane than this is moved onto it along the final rate [cells]
+_FAR = 0.1  # an end farther from its plane than this is recomputed, relative to the step length
+_CORRECTIONS = 2  # number of such corrections of the duration
+_SNAP = 1e-4  # displacements closer than this to whole cells are rounded [cells]
 
 
 class HeldPairs(NamedTuple):
-    """Controls and disturbances that are held during a step.
+    """Controls and disturbances held constant during a step.
 
     Attributes:
         u: Controls (pairs, m).
@@ -40,10 +40,10 @@ class HeldPairs(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Grid around the states at which steps begin.
+    """Free space around the start states of steps.
 
     Attributes:
-        below, above: Distances (k, 1, n) [cells] to the limits at which a step is cut short; infinite for none.
+        below, above: Distances (k, 1, n) [cells] to the limits at which a step is truncated; infinite for none.
     """
 
     below: Array
@@ -55,9 +55,9 @@ class Motion:
     """Paths of k states under p pairs.
 
     Attributes:
-        durations: Durations (k, p) [s]; 0 where nothing moves, or where the equations give no number.
-        moves: Displacements at the end (k, p, n) [cells]; 0 where there is no step.
-        first, last: Rates at the beginning and at the end (k, p, n) [cells/s].
+        durations: Durations (k, p) [s]; 0 if nothing moves, or the derivatives are not finite.
+        moves: Displacements at the end (k, p, n) [cells]; 0 without a step.
+        first, last: Rates at the start and at the end (k, p, n) [cells/s].
     """
 
     durations: Array
@@ -68,7 +68,8 @@ class Motion:
     def path(self, parts: int) -> Array:
         """Return displacements (k, p, parts, n) [cells] after each part of the duration.
 
-        Cubic Hermite interpolation between the two ends: as accurate as the step, without evaluating the system again.
+        Uses cubic Hermite interpolation between the two ends: as accurate as the step, without further evaluations of
+        the system.
         """
         out = np.empty((*self.moves.shape[:-1], parts, self.moves.shape[-1]))
         h = self.durations[..., None]
@@ -80,17 +81,17 @@ class Motion:
         return out
 
     def hull(self) -> tuple[Array, Array]:
-        """Return the lower and upper corner (k, p, n) [cells] of a box around each path, that of its control points."""
+        """Return the lower and upper corners (k, p, n) [cells] of the bounding box of each path's control points."""
         third = self.durations[..., None] / 3.0
         points = third * self.first, self.moves - third * self.last, self.moves
         return reduce(np.minimum, points, np.zeros(1)), reduce(np.maximum, points, np.zeros(1))
 
     def of(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> Motion:
-        """Return the motion of some states under some pairs, one dimension less: (m,) for (k, p)."""
+        """Return the motion of selected states under selected pairs, with shape (m,) in place of (k, p)."""
         return Motion(*(each[row, column] for each in (self.durations, self.moves, self.first, self.last)))
 
     def along(self, axes: tuple[int, ...]) -> Motion:
-        """Return the motion along some axes alone."""
+        """Return the motion along some of the axes."""
         return Motion(self.durations, *(each[..., axes] for each in (self.moves, self.first, self.last)))
 
 
@@ -104,21 +105,21 @@ def move_cells(
     patience: float | None = None,
     controls: int = 1,
 ) -> Motion:
-    """Return the paths of states until they have moved `cells` along the axis on which they are fastest, or to a limit.
+    """Return the paths of states until they have moved `cells` along their fastest axis, or to a limit.
 
-    A step also ends where a Runge-Kutta step of fourth order would lose the path, such as on a circle smaller than a
+    A step is also shortened if a fourth-order Runge-Kutta step would be inaccurate, e.g. on a circle smaller than a
     cell.
 
     Args:
-        system: System that moves.
-        x: States at which the steps begin (k, 1, n).
+        system: System to simulate.
+        x: Start states (k, 1, n).
         pairs: Controls and disturbances of the p pairs.
         spacings: Spacing of each axis (n,), in its unit.
         room: Distances to the limits.
         cells: Length of the steps [cells].
-        patience: Multiple of the duration of the fastest pair at a state after which the others end as well, unless
-            the disturbances could not do much more by then.
-        controls: Number of controls, the faster index of the pairs.
+        patience: Maximum duration of the steps of a state, as a multiple of that of its fastest pair, unless the
+            disturbances have little effect in that time.
+        controls: Number of controls; the control is the fastest-varying index of the pairs.
     """
     first = _rates(system, x, pairs, spacings)
     fastest = _over_axes(np.maximum, np.abs(first))
@@ -126,14 +127,14 @@ def move_cells(
     h = np.where(moving, cells / np.where(moving, fastest, 1.0), 0.0)
     longest = np.full((len(x), 1), np.inf)
     if patience is not None:
-        # Who knows for how long the other one holds on gains by it: as much as the other could do in that time.
+        # Knowing how long the opponent holds its input is an advantage: as much as the opponent could do in that time.
         finite = np.where(moving[..., None], first, 0.0).reshape(len(x), -1, controls, first.shape[-1])
         spread = np.ptp(finite, axis=1).max(axis=(-2, -1))[:, None]
         quickest = np.where(moving, fastest, 0.0).max(axis=1, keepdims=True)
         with np.errstate(divide="ignore"):
             longest = cells * np.maximum(patience / quickest, _ROOM_OF_DISTURBANCE / spread)
         h = np.minimum(h, longest)
-    # The rate half way tells the duration well enough to begin with.
+    # The rate at the midpoint gives a good initial guess of the duration.
     half = _rates(system, x + (0.5 * h[..., None] * spacings) * first, pairs, spacings)
     with np.errstate(invalid="ignore", over="ignore"):
         scale = _fraction_to_limit(h[..., None] * half, room, cells)
@@ -157,15 +158,15 @@ def move_for(system: System, x: Array, pairs: HeldPairs, spacings: Array, durati
 
 
 def _fraction_to_limit(move: Array, room: Room, cells: float) -> Array:
-    """Factor by which a displacement (k, p, n) must grow to reach its plane, or the first limit on the way."""
-    # From a limit outwards there is no room at all: the step stays as long, and is refused by where it ends.
+    """Return the factor by which a displacement (k, p, n) must grow to reach its plane or the first limit before it."""
+    # A step outwards from a limit has no room: it keeps its length, and is rejected later because of its end.
     below, above = (np.where(way < 1e-6, cells, np.minimum(way, cells)) for way in room)
     with np.errstate(divide="ignore", invalid="ignore"):
         return _over_axes(np.minimum, np.where(move < 0.0, below, above) / np.abs(move))
 
 
 def _onto_plane(motion: Motion, room: Room, cells: float) -> Motion:
-    """Move ends that are almost on a plane of the grid onto it, where there is an axis less to interpolate along."""
+    """Move ends that are close to a plane of the grid onto it, which saves interpolation along that axis."""
     move, h = motion.moves, motion.durations
     with np.errstate(invalid="ignore", over="ignore"):
         missing = _fraction_to_limit(move, room, cells) - 1.0
@@ -190,10 +191,10 @@ def _adjust(
     longest: Array,
     cells: float,
 ) -> None:
-    """Correct those steps, in place, that end far from their plane or have lost their path; 0 if none follows it.
+    """Correct, in place, steps that end far from their plane or are inaccurate; set those that stay inaccurate to 0.
 
-    `step` holds durations (k, p) [s], displacements (k, p, n) [cells] and rates at the beginning (k, p, n) [cells/s];
-    `which` says which steps to correct, and which of them have lost their path (k, p); `longest` (k, p) is in s.
+    `step` holds durations (k, p) [s], displacements (k, p, n) [cells] and initial rates (k, p, n) [cells/s]; `which`
+    marks the steps to correct, and the inaccurate ones among them (k, p); `longest` (k, p) are maximum durations [s].
     """
     h, move, first = step
     row, column = np.nonzero(which[0])
@@ -201,7 +202,7 @@ def _adjust(
     below, above = (np.broadcast_to(each, (len(x), 1, x.shape[-1]))[row, 0] for each in (room.below, room.above))
     for turn in range(_HALVINGS):
         now = h[row, column]
-        longest = np.where(lost, 0.5 * now, longest)  # what was not smooth is not prolonged again
+        longest = np.where(lost, 0.5 * now, longest)  # an inaccurate step is not prolonged again
         scale = np.minimum(_fraction_to_limit(move[row, column], Room(below, above), cells), _SPEED_UP)
         now = np.minimum(np.where(lost | ~np.isfinite(scale), 0.5 * now, now * scale), longest)
         some = HeldPairs(pairs.u[column], pairs.d[column])
@@ -216,7 +217,7 @@ def _adjust(
 
 
 def _rates(system: System, x: Array, pairs: HeldPairs, spacings: Array) -> Array:
-    """Rates (k, p, n) [cells/s], NaN or infinite where the equations give no number."""
+    """Return rates (k, p, n) [cells/s], NaN or infinite if the derivatives are."""
     with np.errstate(all="ignore"):
         rates = system.dynamics(x, *pairs) / spacings
     return np.broadcast_to(rates, (len(x), len(pairs.u), rates.shape[-1]))
@@ -225,12 +226,13 @@ def _rates(system: System, x: Array, pairs: HeldPairs, spacings: Array) -> Array
 def _runge_kutta(
     system: System, x: Array, pairs: HeldPairs, spacings: Array, h: Array, first: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return displacements [cells] by one step of the classical method, and whether each has lost its path.
+    """Return displacements [cells] by one classical Runge-Kutta step, and whether each step is inaccurate.
 
-    The second and third stage agree where the path is smooth over the step: their difference measures that for free.
+    The second and third stages agree if the path is smooth over the step: their difference is an error estimate for
+    free.
     """
     dt = h[..., None]
-    with np.errstate(all="ignore"):  # a trial step may lead to where the equations give no number
+    with np.errstate(all="ignore"):  # a trial step may end where the equations are undefined
         k2 = system.dynamics(x + (0.5 * dt * spacings) * first, *pairs)
         k3 = system.dynamics(x + 0.5 * dt * k2, *pairs)
         k4 = system.dynamics(x + dt * k3, *pairs)
@@ -242,5 +244,5 @@ def _runge_kutta(
 
 
 def _over_axes(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-    """Combine values (..., n) over the n axes: for so few, several times as quick as NumPy's own reduction."""
+    """Reduce values (..., n) over the n axes; for so few, several times faster than NumPy's own reduction."""
     return np.asarray(reduce(combine, (values[..., k] for k in range(values.shape[-1]))))

@@ -1,4 +1,4 @@
-"""Times to reach that are solved once and kept as files."""
+"""Cache of time-to-reach functions: solved once, and kept as files."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ def find_or_solve(
     posed_as: NavigationTask | None = None,
     clearance: float = 0.0,
 ) -> Path:
-    """Return the file of the time to reach of this version of a task, solved now unless it is there.
+    """Return the file with the time to reach of this version of a task; solve it if there is none.
 
-    Obstacles are wider by the radius of the body and the clearance.
+    Obstacles are inflated by the radius of the body plus the clearance.
 
     Args:
-        task: Task whose name and digest the file has.
+        task: Task that gives the file its name and digest.
         folder: Folder of the files.
-        tell: Takes a line before the solver begins.
-        posed_as: Task with the grid and the controls of the problem; `task` itself unless given.
-        clearance: Room that the body keeps to obstacles [m].
+        tell: Function called with one line of text before the solver starts.
+        posed_as: Task with the grid and the controls of the problem; default: `task` itself.
+        clearance: Distance between body and obstacles [m].
 
     Raises:
-        TimeToReachError: The task has no grid, or nothing reaches its goal.
+        TimeToReachError: The task has no grid, or no state outside the goal can reach it.
     """
     digest = task_digest(task)
     kept_off = f"-{clearance:g}m" if clearance else ""

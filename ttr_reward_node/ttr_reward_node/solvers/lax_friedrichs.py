@@ -1,6 +1,6 @@
 """Lax-Friedrichs fast sweeping, the thesis's method (section 3.2.2): simple, robust, more diffusive than ours.
 
-Target and obstacles are the nodes that lie in them: unlike in `semi_lagrangian`, both are snapped to the grid.
+Target and obstacles are the nodes inside them: unlike in `semi_lagrangian`, both are snapped to the grid.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from ttr_reward_node.solvers.near_nodes import flat
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 
-_TOLERANCE = 1e-3  # of the time to cross a cell
-_CROSSINGS = 0.25  # 1 / lambda, in crossings of the grid
-_BLOCK = 1 << 16  # rates that are computed at once
-_UNREACHABLE = 30.0  # lambda phi beyond which nothing has arrived
+_TOLERANCE = 1e-3  # relative to the time to cross a cell
+_CROSSINGS = 0.25  # 1 / lambda, in times to cross the grid
+_BLOCK = 1 << 16  # number of rates computed at once
+_UNREACHABLE = 30.0  # value of lambda phi above which a node is unreachable
 
 
 def memory_needed(problem: TimeToReachProblem) -> float:
-    """Return the bytes that `solve` will take at most, with those of the value grid."""
+    """Return the peak memory of `solve`, including the value grid [bytes]."""
     layout = make_layout(problem)
     n = len(layout.counts)
-    # The rates, and states and viscosity.
+    # Rates, states and viscosity.
     table = layout.slabs * n * (len(pairs(problem, problem.system.control_samples(2))[0]) * 4.0 + 32.0)
-    return table + problem.points * 22.0 + 2e8  # the last for compiling
+    return table + problem.points * 22.0 + 2e8  # 200 MB for compilation
 
 
 def solve(
@@ -41,14 +41,14 @@ def solve(
     max_sweeps: int = 5000,
     progress: Progress | None = None,
 ) -> SweepResult:
-    """Solve a problem, with the arguments of `solver.solve`."""
+    """Solve a problem; arguments as in `solver.solve`."""
     check_affine_controls(problem.system)
     require_memory(memory_needed(problem), problem.points)
     layout = make_layout(problem)
-    # f is affine in control and disturbance: their vertices give the Hamiltonian exactly.
+    # f is affine in control and disturbance, so their vertices give the exact Hamiltonian.
     u, d, controls = pairs(problem, problem.system.control_samples(2))
     rates, viscosity = _tabulate(problem, layout, u, d)
-    # A dummy axis has any spacing.
+    # The spacing of a dummy axis is arbitrary.
     spacings = np.array([problem.axes[k].spacing for k in layout.order] + [1.0])[: len(layout.counts)]
     top = viscosity.max(axis=0)
     unit = float(np.max(spacings[top > 0] / top[top > 0], initial=0.0)) or 1.0
@@ -68,7 +68,7 @@ def solve(
         residual, number = change / rate, number + 1
         if progress is not None:
             progress(number, residual)
-    # In place: there is no memory for more.
+    # In place, to save memory.
     with np.errstate(divide="ignore"):
         np.log1p(np.negative(v, out=v), out=v)
     v *= -1.0 / rate
@@ -80,7 +80,7 @@ def solve(
 def _tabulate(
     problem: TimeToReachProblem, layout: Layout, u: NDArray[np.float64], d: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return f (slabs, pairs, n) and its largest size under any pair (slabs, n); 0 along a dummy axis."""
+    """Return f (slabs, pairs, n) and its largest magnitude over the pairs (slabs, n); 0 along a dummy axis."""
     states, n = slab_states(problem, layout), len(layout.order)
     rates = np.zeros((len(states), len(u), len(layout.counts)), np.float32)
     viscosity = np.zeros((len(states), len(layout.counts)))

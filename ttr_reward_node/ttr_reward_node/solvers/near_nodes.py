@@ -1,4 +1,4 @@
-"""Nodes near target and obstacles, and what becomes of each step from there: found once, before the sweeps."""
+"""Nodes near target and obstacles, and the outcome of each step from there: computed once, before the sweeps."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from ttr_reward_node.solvers.held_motion import HeldPairs, move_for
 from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import for_each, share
 
-_FURTHER = 1.5  # cells that a step goes on, about, to find the target in the cell in which it ends
-_BEYOND = 1.05  # cells beyond the reach of a step that may matter to it: it goes on in the cell in which it ends
-_BLOCK = 1 << 12  # outcomes that are found at once: each takes about 3 kB on the way
-_ROUNDING = 1e-6  # cells: nodes that are this near to a limit are on it
+_FURTHER = 1.5  # approximate extension of a step to find the target in the cell in which it ends [cells]
+_BEYOND = 1.05  # distance beyond the reach of a step that may affect it, because of its extension [cells]
+_BLOCK = 1 << 12  # number of outcomes computed at once; each needs about 3 kB
+_ROUNDING = 1e-6  # distance below which a node lies on a limit [cells]
 
 
 @dataclass(frozen=True, eq=False)
 class NearNodes:
-    """What target, obstacles and limits make of the nodes, flat in the layout's order.
+    """Effect of target, obstacles and limits on the nodes, flat in the layout's order.
 
     Attributes:
         values: w at the nodes before the first sweep (nodes,): 1 in the target, 0 elsewhere.
         flags: FREE, NEAR or FIXED (nodes,).
         outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs).
-        before_row: Number of near nodes before each row, which is the nodes along the last axis (rows + 1,).
+        before_row: Number of near nodes before each row (nodes along the last axis), shape (rows + 1,).
     """
 
     values: NDArray[np.float32]
@@ -53,17 +53,18 @@ def find_near_nodes(
     follow: Callable[..., None] | None = None,
     block: int = _BLOCK,
 ) -> NearNodes:
-    """Follow the steps from all nodes that are near enough to target or obstacle for one to meet it.
+    """Compute the outcomes of the steps from all nodes near enough to target or obstacles to meet them.
 
     Args:
         problem: Problem with target, obstacles and limits.
         layout: Order of the axes.
         steps: Steps of the slabs.
-        table: The same for compiled code.
+        table: The same steps for compiled code.
         grid: Axes for compiled code.
         rate: Rate lambda of the transform [1/s].
-        follow: Function like `kernels.boundary_conditions.find_outcomes`, which is compiled for the CPU unless given.
-        block: Number of outcomes that it finds at once.
+        follow: Function with the signature of `kernels.boundary_conditions.find_outcomes`; default: that one, on the
+            CPU.
+        block: Number of outcomes per call of `follow`.
     """
     follow = _follow if follow is None else follow
     failed = problem.blocked() | _beyond_limits(problem, layout)
@@ -96,7 +97,7 @@ def find_near_nodes(
 
 
 def _joined(parts: list[Paths]) -> Paths:
-    """Return the ways of all slabs from those of some of them."""
+    """Concatenate paths of groups of slabs."""
     return parts[0] if len(parts) == 1 else Paths(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -106,14 +107,14 @@ def _follow(*given: Any) -> None:
 
 
 def _follow_part(given: tuple[Any, ...], part: int, parts: int) -> None:
-    """Fill in one part of the outcomes of some nodes."""
+    """Fill in part `part` of `parts` of the outcomes."""
     nodes, local, *rest, outcomes = given
     some = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
     kernels().find_outcomes(nodes[some], local[some], *rest, outcomes[some])
 
 
 def near_share(problem: TimeToReachProblem, cells: float) -> float:
-    """Return the fraction of nodes, about, from which a step of so many cells may meet target or obstacle."""
+    """Estimate the fraction of nodes from which a step of `cells` cells may meet target or obstacles."""
     conditions = _near_conditions(problem, np.full(len(problem.axes), cells + 1.0))
     share_ = math.prod(float(condition.mean()) for condition in conditions)
     if problem.clearance is not None:
@@ -123,7 +124,7 @@ def near_share(problem: TimeToReachProblem, cells: float) -> float:
 
 
 def flat(shaped: NDArray[Any], layout: Layout) -> NDArray[Any]:
-    """Values at the nodes (grid shape), flat in the layout's order."""
+    """Flatten values at the nodes (grid shape) in the layout's order."""
     return np.ascontiguousarray(shaped.transpose(layout.order)).ravel()
 
 
@@ -135,7 +136,7 @@ def _paths(
     plane: list[int],
     spacings: NDArray[np.float64],
 ) -> Paths:
-    """Return the ways of the steps from some slabs: tables hold only their ends."""
+    """Recompute the paths of the steps from some slabs; the tables only hold their ends."""
     durations = steps.durations[steps.codes[slabs]]
     all_spacings = np.array([axis.spacing for axis in problem.axes])
     states = slab_states(problem, layout, slabs)[:, None]
@@ -154,7 +155,7 @@ def _paths(
 
 
 def _ends_near_target(problem: TimeToReachProblem, layout: Layout, ends: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether steps that end at states (k, p, n), as far as the slab tells, do so within about a cell of the target."""
+    """Whether steps with ends (k, p, n) end within about a cell of the target, judged along the outer axes."""
     near = np.ones(ends.shape[:-1], dtype=bool)
     for k, low, high in _target_spans(problem):
         axis = problem.axes[k]
@@ -169,9 +170,9 @@ def _ends_near_target(problem: TimeToReachProblem, layout: Layout, ends: NDArray
 def _go_on(
     problem: TimeToReachProblem, held: HeldPairs, ends: NDArray[np.float64], fastest: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return displacements (m, 2, n) [cells] after each half of a little more of the same, and durations (m,) [s].
+    """Return displacements (m, 2, n) [cells] after each half of a short extension of m steps, and durations (m,) [s].
 
-    `ends` (m, n) is where m steps end, and `fastest` (m,) their rate along the fastest axis there [cells/s].
+    `ends` (m, n) are the ends of the steps, and `fastest` (m,) the rates along the fastest axis there [cells/s].
     """
     spacings = np.array([axis.spacing for axis in problem.axes])
     moving = np.isfinite(fastest) & (fastest > 0.0)
@@ -180,14 +181,14 @@ def _go_on(
         half = problem.system.step(ends, *held, dt=0.5 * more[..., None])
         whole = problem.system.step(half, *held, dt=0.5 * more[..., None])
         ahead = np.stack((half - ends, whole - ends), axis=-2) / spacings
-    # Where the motion comes to rest, or turns, within that time, two straight pieces do not follow it.
+    # Two straight segments do not approximate a motion that stops or turns within that time.
     smooth = np.isfinite(ahead).all(axis=(-2, -1)) & (np.abs(ahead).max(axis=(-2, -1)) <= 2.0 * _FURTHER)
     more = np.where(smooth, more, 0.0)
     return np.where(smooth[..., None, None], ahead, 0.0), more
 
 
 def _plane(problem: TimeToReachProblem) -> tuple[int, ...]:
-    """Axes that the clearance spans."""
+    """Return the axes of the clearance."""
     return () if problem.clearance is None else problem.clearance.axes
 
 
@@ -215,7 +216,7 @@ def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> Boundar
 
 
 def _flag_near(problem: TimeToReachProblem, layout: Layout, steps: Steps, flags: NDArray[np.uint8]) -> None:
-    """Flag the free nodes (nodes,), flat, near target or obstacle: one of their steps may come within a cell of it."""
+    """Flag the free nodes (nodes,), flat, from which a step may come within a cell of target or obstacles."""
     shaped = flags.reshape(layout.slabs, *layout.counts[len(layout.outer) : len(layout.order)])
     block = max(1, _BLOCK // math.prod(shaped.shape[1:]))
     for begin in range(0, layout.slabs, block):
@@ -233,9 +234,9 @@ def _flag_near(problem: TimeToReachProblem, layout: Layout, steps: Steps, flags:
 def _may_reach_target(
     problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
 ) -> Iterator[NDArray[np.bool_]]:
-    """Yield conditions, one an axis of the target, that broadcast to the nodes of slabs (k,), shape (k, inner counts).
+    """Yield, per axis of the target, a condition that broadcasts to the nodes of slabs (k,), shape (k, inner counts).
 
-    `reach` (k, n, 2) [cells] is that of the slabs, as in `Steps`.
+    `reach` (k, n, 2) [cells] is the slabs' reach, as in `Steps`.
     """
     for k, low, high in _target_spans(problem):
         axis = problem.axes[k]
@@ -248,7 +249,7 @@ def _may_reach_target(
 
 
 def _target_spans(problem: TimeToReachProblem) -> Iterator[tuple[int, float, float]]:
-    """Yield axes of the target with its ends there; a disc is as wide as it is."""
+    """Yield each axis of the target with the target's ends along it; a disc has two axes."""
     names = problem.system.state_names
     for name, (low, high) in problem.target.intervals.items():
         yield names.index(name), low, high
@@ -260,7 +261,7 @@ def _target_spans(problem: TimeToReachProblem) -> Iterator[tuple[int, float, flo
 def _may_reach_obstacle(
     problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
 ) -> NDArray[np.bool_]:
-    """Whether obstacles are within reach of the slabs' nodes; arguments and shape as `_may_reach_target`."""
+    """Whether obstacles are within reach of the slabs' nodes; arguments and shape as in `_may_reach_target`."""
     assert problem.clearance is not None
     spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
     places = [layout.order.index(k) for k in _plane(problem)]
@@ -271,7 +272,7 @@ def _may_reach_obstacle(
 
 
 def _on_slabs(layout: Layout, values: NDArray[Any], slabs: NDArray[np.int64]) -> NDArray[Any]:
-    """Return values that broadcast to the grid, at slabs (k,): they broadcast to shape (k, inner counts)."""
+    """Select slabs (k,) of values that broadcast to the grid; the result broadcasts to (k, inner counts)."""
     outer = len(layout.outer)
     if not outer:
         return values.transpose(layout.order)[None]
@@ -281,10 +282,10 @@ def _on_slabs(layout: Layout, values: NDArray[Any], slabs: NDArray[np.int64]) ->
 
 
 def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bool_]:
-    """Whether nodes (grid shape) lie beyond the state's limits, where everything has failed.
+    """Whether nodes (grid shape) lie beyond the state's limits, where every trajectory has failed.
 
-    Steps are cut short at a limit of an outer axis, which may lie between two nodes: the outer of the two is kept, so
-    that there is a value on both sides to interpolate between.
+    Steps are truncated at a limit of an outer axis, which may lie between two nodes: the outer one is kept, so that the
+    value can be interpolated between both.
     """
     beyond = np.zeros((1,) * len(problem.axes), dtype=bool)
     for k, axis in enumerate(problem.axes):
@@ -295,7 +296,7 @@ def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bo
 
 
 def _near_conditions(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:
-    """Yield where nodes lie within so many cells (n,) of the target: one condition an axis, and the disc's."""
+    """Yield, per axis of the target and for its disc, whether nodes lie within `cells` (n,) cells of it."""
     for k, axis in enumerate(problem.axes):
         if axis.name in problem.target.intervals:
             low, high = problem.target.intervals[axis.name]

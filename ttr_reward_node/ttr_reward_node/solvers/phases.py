@@ -1,20 +1,20 @@
-"""Phases in which the semi-Lagrangian solver sweeps, until all that can be reached has its time.
+"""Phases of the semi-Lagrangian sweeps, until every reachable node has its time.
 
-1. Without any judgement of what is unreachable: w only grows, towards the one solution of a monotone scheme, so no node
-   can come to lean on others that lean on it. Time costs little of w there: it is the share of all ways that arrive.
-   Nodes below _LOST are unreachable for good.
-2. Nodes below _CUT have to be reached anew, by steps of which most of the weight is reachable, which makes the edge of
-   what can be reached sharp.
-3. The curvature of `kernels.row_interpolation` is added; w only grows again, because a scheme with curvature is not
-   monotone and would go to and fro.
+1. No node is judged unreachable: w only grows, towards the unique solution of a monotone scheme, so no nodes can
+   support each other in a loop. Time is discounted so little that w is about the fraction of interpolation weight that
+   arrives. Nodes below _LOST are marked unreachable for good.
+2. Nodes below _CUT are reset and must be reached again, by steps with most of their weight on reachable nodes, which
+   sharpens the edge of the reachable set.
+3. The curvature of `kernels.row_interpolation` is added; w again only grows, because a scheme with curvature is not
+   monotone and would oscillate.
 
-Two kinds of nodes can be missed by the second phase. Where the way leads along an axis that is slow beside the others,
-a step moves a small part of a cell along it, so that most of its weight is never reachable; w was small there because
-the way takes long, which a first phase in which time costs almost nothing tells. And along an edge: those above _FOUND
-get their times last, from steps that lean on fewer neighbours.
+The second phase can miss two kinds of nodes. If the path follows an axis that is slow compared with the others, a step
+moves a small fraction of a cell along it, so most of its weight is never reachable; w was small there because the path
+takes long, which a first phase with an almost negligible discount reveals. And along an edge, the nodes above _FOUND
+get their times last, from steps that need fewer reachable neighbours.
 
-Finite jumps stay as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened ones
-are nearer the truth on average, but who steers by them drives over the edge.
+Finite jumps remain as wide as linear interpolation makes them, a few cells, on the side of longer times: sharpened
+jumps are more accurate on average, but a robot that follows them drives over the edge.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from ttr_reward_node.kernels.sweep import SweepSettings
 from ttr_reward_node.solvers.solution import Progress
 from ttr_reward_node.solvers.sweeper import Sweeper
 
-# All in units of the time that the slowest axis takes to cross a cell at its top speed.
-_SETTLED = (2e-3, 0.2)  # the first and second phase hand over to the next when changes are below this; the first's of w
-_PATIENCE = 40  # sweeps of the second phase, in which marginal nodes can go to and fro
-_STALLED, _PROGRESS = 4, 0.7  # it also ends after so many sweeps whose changes are not this much below the least before
-_QUIET = (2e-4, 0.03, 0.01)  # in each phase: a row whose changes are below this does not wake those that look at it
-_LOST, _FOUND = 0.3, 0.7  # w after the first phase: below, there is no way; above, there is one
-_MOST, _SOME = 0.75, 0.25  # weight of the corners that must be reachable for a step to count; at last, along an edge
-_CUT = 0.985  # w of a node that the first phase leaves standing: with CROSSINGS, up to one and a half crossings
+# Changes are in units of the time that the slowest axis needs to cross a cell at its top speed, except those of w.
+_SETTLED = (2e-3, 0.2)  # largest change at which the first (change of w) and the second phase end
+_PATIENCE = 40  # maximum number of sweeps of the second phase, in which marginal nodes can oscillate
+_STALLED, _PROGRESS = 4, 0.7  # it also ends after 4 sweeps with changes above 0.7 times the smallest before
+_QUIET = (2e-4, 0.03, 0.01)  # per phase: smaller changes of a row do not trigger updates of the rows that read it
+_LOST, _FOUND = 0.3, 0.7  # w after the first phase below which a node is unreachable, and above which it is reachable
+_MOST, _SOME = 0.75, 0.25  # minimum weight of the reachable corners for a step to count; and finally, along an edge
+_CUT = 0.985  # w below which a node is reset after the first phase: with CROSSINGS, paths of 1.5 crossings are kept
 CROSSINGS = 100.0
-"""1 / lambda, in crossings of the grid."""
-_SLOWER = 100.0  # factor by which time costs less where it is told apart from ways that do not arrive
-_FEW = 0.05  # of the nodes: fewer that were missed lie along an edge
-_FLAT, _FAINT = 0.05, 1e-6  # change of ln w from a node to the next, and w, where a long way may have made it small
+"""1 / lambda, in times to cross the grid."""
+_SLOWER = 100.0  # factor of lower discount that separates long paths from paths that do not arrive
+_FEW = 0.05  # fraction of missed nodes below which they lie along an edge
+_FLAT, _FAINT = 0.05, 1e-6  # largest change of ln w between neighbours, and smallest w, attributed to a long path
 
 
 class Scales(NamedTuple):
-    """Measures of a problem's time.
+    """Time scales of a problem.
 
     Attributes:
-        unit: Time in which the slowest axis crosses a cell at its top speed [s].
-        crossing: The same for the grid's longest axis [s].
+        unit: Time for the slowest axis to cross a cell at its top speed [s].
+        crossing: `unit` times the number of nodes on the longest axis [s].
         rate: Rate lambda of the transform w = exp(-lambda phi) [1/s].
         tolerance: Largest change of phi in a sweep that ends the last phase [s].
     """
@@ -63,16 +63,16 @@ class Scales(NamedTuple):
 
 @dataclass(eq=False)
 class Phases:
-    """Sweeps of a sweeper, counted, until they settle.
+    """Runs a sweeper through all phases until it converges.
 
     Attributes:
         sweeper: Sweeper with the nodes.
-        shape: Numbers of nodes in the layout's order.
-        scales: Measures of time.
-        most: Number of sweeps after which to give up.
-        progress: Told of each sweep.
+        shape: Number of nodes on each axis, in the layout's order.
+        scales: Time scales.
+        most: Maximum number of sweeps.
+        progress: Function called after each sweep.
         number: Number of sweeps so far.
-        residual: Largest change of phi in the last sweep that shows one [s].
+        residual: Largest change of phi in the last sweep that measured it [s].
     """
 
     sweeper: Sweeper
@@ -84,7 +84,7 @@ class Phases:
     residual: float = math.inf
 
     def run(self) -> bool:
-        """Sweep through all phases; return whether the last one has settled."""
+        """Sweep through all phases; return whether the last one has converged."""
         unit, crossing, rate, tolerance = self.scales
         fine = min(_QUIET[2] * unit, 0.1 * tolerance)
         first = SweepSettings(rate, math.inf, 0.0, _QUIET[0] / rate, False, 0, 0)
@@ -96,7 +96,7 @@ class Phases:
         lost, doubtful, found = values < _LOST, values < _CUT, values >= _FOUND
         slow = self._slow(values, doubtful)
         arrived = values[slow]
-        if doubtful.any():  # else nothing has lost weight: there is no edge to make sharp
+        if doubtful.any():  # otherwise no weight was lost, and there is no edge to sharpen
             lost[slow] = False
             values[doubtful] = 0.0
             self.sweeper.restart(lost)
@@ -108,9 +108,9 @@ class Phases:
         return self._reach_edges(found, last) and self._reach_slow(slow, arrived, lost, last)
 
     def _slow(self, values: NDArray[np.float32], doubtful: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Return the doubtful nodes (k,) whose w may be small because the way is long, none where they are few.
+        """Return the doubtful nodes (k,) whose w may be small because of a long path; none if they are few.
 
-        There w changes little from node to node, at least on one side along each axis.
+        At such a node w changes little from node to node, at least towards one side along each axis.
         """
         slow = np.flatnonzero(doubtful & (values >= _FAINT))
         stride = values.size
@@ -130,12 +130,12 @@ class Phases:
         lost: NDArray[np.bool_],
         last: SweepSettings,
     ) -> bool:
-        """Give those nodes their times that only seemed lost since their ways take long; return whether it settled.
+        """Compute the times of nodes that seemed unreachable because their paths are long; return whether it converged.
 
         Args:
-            slow: Nodes that may be of this kind (k,).
+            slow: Candidate nodes (k,).
             arrived: Their w after the first phase (k,).
-            lost: Nodes that are unreachable for good (nodes,).
+            lost: Nodes marked unreachable for good (nodes,).
             last: Settings of the last phase.
         """
         missing = self.sweeper.values[slow] == 0.0
@@ -159,7 +159,7 @@ class Phases:
         return (settled and self._settle(last, self.scales.tolerance)) or self._give_up()
 
     def _reach_edges(self, found: NDArray[np.bool_], last: SweepSettings) -> bool:
-        """Give reachable nodes along an edge times that lean on fewer neighbours; return whether it settled."""
+        """Compute the times of reachable nodes along an edge from fewer neighbours; return whether it converged."""
         values = self.sweeper.values
         if not (found & (values == 0.0)).any():
             return True
@@ -168,13 +168,13 @@ class Phases:
         return self._settle(edge, self.scales.tolerance)
 
     def _settle(self, settings: SweepSettings, change: float, *, least: int = 1, patient: bool = True) -> bool:
-        """Sweep until a sweep changes less than `change` [s]; return whether that came before the last sweep allowed.
+        """Sweep until a sweep changes at most `change` [s]; return whether that happened within the sweep limit.
 
         Args:
             settings: Settings of the phase.
-            change: Change of phi that ends it [s].
-            least: Number of sweeps that it takes at least.
-            patient: Whether to go on for as long as it takes; else it also ends where changes no longer fall.
+            change: Change of phi that ends the phase [s].
+            least: Minimum number of sweeps.
+            patient: Whether to continue as long as it takes; otherwise also end when changes stop decreasing.
         """
         in_phase, best, stalled = 0, math.inf, 0
         while self.number < self.most:
@@ -196,6 +196,6 @@ class Phases:
         return False
 
     def _give_up(self) -> bool:
-        """Call unreachable what has barely been reached, which would become times of hours."""
+        """Mark nodes with small w as unreachable, since these would become times of hours."""
         self.sweeper.values[self.sweeper.values < _CUT] = 0.0
         return False

@@ -1,8 +1,8 @@
-"""Solve on a finer grid than asked for, where that costs little, and keep the values at the nodes that were asked for.
+"""Solve on a finer grid than requested, if that costs little, and keep the values at the requested nodes.
 
-A scheme of first order is off by a part of what happens within a cell: a path that brakes as late as it can, or turns
-round a spring's corner, loses a little in every cell. In a plane, cells of a third or a quarter cost a second; on a
-line nothing is blurred, and in space finer cells cost too much.
+The error of a first-order scheme is proportional to the change within a cell: a path that brakes as late as possible,
+or turns round the corner of a spring's value, loses a little in every cell. On two axes, cells split into three or four
+cost about a second; on one axis nothing is blurred, and on three or more finer cells cost too much.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from ctrl_rl_core import Axis
 from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.solvers.steps import make_layout, pairs, step_lengths, tried_controls
 
-_WORK = 2_000_000, 10_000_000  # steps on the finer grid, about a second's: of each node by itself, or of rows alike
+_WORK = 2_000_000, 10_000_000  # number of steps that take about a second, with steps per node or shared by a row
 _FINEST = 4
-_PLANE = 2  # axes
+_PLANE = 2  # number of axes to refine
 
 
 def choose_refinement(problem: TimeToReachProblem) -> int:
-    """Return into how many cells each of the problem's is split: as many as cost little, 1 for none."""
+    """Return the number of cells into which to split each grid cell along each axis; 1 if more would cost much."""
     if len(problem.axes) != _PLANE:
         return 1
     layout = make_layout(problem)
     choices = len(pairs(problem, tried_controls(problem, layout))[0])
     if choices == 1:
-        return 1  # nothing to choose between: a finer grid only takes more sweeps
+        return 1  # without a choice of controls, a finer grid only takes more sweeps
     steps = choices * len(step_lengths(problem))
     for finer in range(_FINEST, 1, -1):
         nodes = math.prod(_count(axis, finer) for axis in problem.axes)
@@ -40,7 +40,7 @@ def choose_refinement(problem: TimeToReachProblem) -> int:
 
 
 def refine(problem: TimeToReachProblem, finer: int) -> TimeToReachProblem:
-    """Return the problem on a grid whose cells are `finer` times as small; every node stays one."""
+    """Return the problem on a grid with cells `finer` times smaller; every node remains a node."""
     if finer == 1:
         return problem
     axes = tuple(replace(axis, count=_count(axis, finer)) for axis in problem.axes)
@@ -54,7 +54,7 @@ def refine(problem: TimeToReachProblem, finer: int) -> TimeToReachProblem:
 
 
 def coarsen(values: NDArray[np.float32], axes: Sequence[Axis], finer: int) -> NDArray[np.float32]:
-    """Return the values at the nodes of `axes` out of those on the finer grid."""
+    """Return the values at the nodes of `axes` from those on the finer grid."""
     kept = np.ascontiguousarray(values[(slice(None, None, finer),) * len(axes)])
     assert kept.shape == tuple(axis.count for axis in axes)
     return kept
@@ -65,7 +65,7 @@ def _count(axis: Axis, finer: int) -> int:
 
 
 def _between(values: NDArray[np.float32], i: int, axis: Axis, finer: int) -> NDArray[np.float32]:
-    """Return values along array axis i on the finer axis: linear, as obstacles are between the nodes anyway."""
+    """Interpolate values linearly along array axis i to the finer axis, as for obstacles between nodes in general."""
     place = np.arange(_count(axis, finer)) / finer
     lower = np.minimum(place.astype(np.int64), axis.count - 1 if axis.periodic else axis.count - 2)
     share = (place - lower).astype(np.float32).reshape((-1,) + (1,) * (values.ndim - 1 - i))

@@ -1,4 +1,4 @@
-"""The safe set of a navigation task: what can avoid its walls and obstacles, or reach its goal without a touch."""
+"""Safe set of a navigation task: states that can avoid its walls and obstacles, or reach its goal without contact."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def solve_safe_set(
     max_steps: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[ValueGrid, SafetySolution]:
-    """Solve the game of safety in the world of a time-to-reach problem.
+    """Solve the safety game in the world of a time-to-reach problem.
 
     Args:
         problem: System, axes, obstacles and, for "reach_avoid", the target.
-        kind: "avoid" to touch no obstacle, "reach_avoid" to reach the target without touching one.
-        horizon: Time that the game lasts [s]; None: for ever.
-        tolerance: Largest change at which it stops [m]; unless given 1e-4 of the range of the distances.
-        max_steps: Number of steps after which it gives up; None for the solver's own limit.
+        kind: "avoid" to avoid all obstacles, "reach_avoid" to reach the target while avoiding them.
+        horizon: Duration of the game [s]; None for an infinite horizon.
+        tolerance: Largest change at convergence [m]; default: 1e-4 of the range of the distances.
+        max_steps: Maximum number of steps; None for the solver's limit.
         progress: Function called after each step with its number and the largest change [m].
 
     Returns:
-        Grid of values [m], not negative where it is safe, and how it was found.
+        Grid of values [m], non-negative where safe, and details of the solution.
 
     Raises:
-        TimeToReachError: There is nothing to avoid, no state is safe, or the solver refuses the problem.
+        TimeToReachError: There is nothing to avoid, no state is safe, or the solver rejects the problem.
     """
     if problem.clearance is None:
         raise TimeToReachError(f"task '{problem.name}' has no walls or obstacles in the plane of its system to avoid")
@@ -82,9 +82,9 @@ def solve_safe_set(
 
 
 def target_margin(problem: TimeToReachProblem) -> NDArray[np.float64]:
-    """Return how far inside the target each node lies (broadcasts to the grid) [m], negative outside.
+    """Return the depth of each node inside the target (broadcasts to the grid) [m], negative outside.
 
-    Distances along axes that are no positions count by their numbers: 1 rad, or 1 m/s, is as far as 1 m.
+    Distances along axes other than positions count by their numeric values: 1 rad or 1 m/s as 1 m.
     """
     margin = np.full((1,) * len(problem.axes), np.inf)
     for k, axis in enumerate(problem.axes):

@@ -1,4 +1,4 @@
-"""Sets of states that can be kept safe, against whatever a bounded disturbance does: viability kernels and tubes.
+"""Sets of states that can be kept safe against any bounded disturbance: viability kernels and tubes.
 
     solver = SafetySolver(SafetyGame(system, axes))
     solution = solver.solve(margin)                                 # safe for ever where solution.values >= 0
@@ -6,15 +6,15 @@
     solution = solver.solve(margin, target=inside, horizon=5.0)     # reaches the target safely within five seconds
     again = solver.solve(newer, initial=solver.shifted(solution.values, (1, 0, 0, 0), newer))
 
-The margin l is the distance to what must be avoided, on any array that broadcasts to the grid, negative inside it. The
-value is the smallest margin that is met on the way when both play at their best (Mitchell, Bayen, Tomlin 2005; with a
+The margin l is the distance to the set to avoid, an array that broadcasts to the grid, negative inside the set. The
+value is the smallest margin along the trajectory under optimal play by both sides (Mitchell, Bayen, Tomlin 2005; with a
 target Fisac, Chen, Tomlin, Sastry 2015):
 
     avoid:        V(z, t) = max over u, min over d of   min over s of l(z(s), s)
     reach-avoid:  V(z, t) = max over u, min over d of   max over s of min{ r(z(s)), min over s' <= s of l(z(s'), s') }
 
-The disturbance is told the control, so the value errs on the safe side. What would leave the grid stays at its edge:
-let the margin be negative there if what lies beyond is not safe.
+The disturbance knows the control, so the value errs on the safe side. States that would leave the grid stay at its
+edge: make the margin negative there if the region beyond is unsafe.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from ttr_reward_node.solvers.safety_tables import make_tables, usual_step
 from ttr_reward_node.solvers.solution import Progress
 
 INTERPOLATIONS = {"linear": 2, "cubic": 4}
-"""Nodes along each axis that each interpolation looks at."""
-_TOLERANCE = 1e-4  # of the range of the margin
+"""Stencil width of each interpolation [nodes per axis]."""
+_TOLERANCE = 1e-4  # relative to the range of the margin
 _MOST_STEPS = 2000
 
 Margin = ArrayLike | Callable[[float], ArrayLike]
-"""Array that broadcasts to the grid, or a function of the time [s] that gives one."""
+"""Array that broadcasts to the grid, or a function of time [s] that returns one."""
 
 
 @dataclass(frozen=True, eq=False)
 class SafetySolution:
-    """A safety value and how it was found.
+    """Safety value and details of the solution.
 
     Attributes:
-        values: Value at the nodes (grid shape) [unit of the margin]; not negative in the safe set.
+        values: Value at the nodes (grid shape) [unit of the margin]; non-negative in the safe set.
         steps: Number of time steps back.
         change: Largest change of a node in the last step [unit of the margin].
         converged: Whether the change is within the tolerance, or the horizon has been reached.
-        cpu_seconds: Processor time [s], without compilation where the kernels were compiled before.
+        cpu_seconds: Processor time [s], excluding compilation if the kernels are cached.
     """
 
     values: NDArray[np.float32]
@@ -63,21 +63,21 @@ class SafetySolution:
 
     @property
     def safe(self) -> float:
-        """Fraction of the nodes that are in the set."""
+        """Fraction of the nodes in the safe set."""
         return float(np.mean(self.values >= 0.0))
 
 
 class SafetySolver:
-    """Solve games that differ in their margins alone; the steps are tabulated once.
+    """Solves games that differ only in their margins; the steps are tabulated once.
 
     Args:
         game: System, axes and the sets of both players.
-        step: Longest time step [s]; unless given the fastest axis moves two cells in it, on average over the grid.
-        interpolation: "cubic", or "linear", which is less exact, quicker, and monotone: less margin or more disturbance
-            then never makes a value larger, and the discounted form contracts.
+        step: Longest time step [s]; default: the fastest axis moves two cells per step, on average over the grid.
+        interpolation: "cubic", or "linear", which is less accurate, faster, and monotone: a smaller margin or a larger
+            disturbance then never increases a value, and the discounted form is a contraction.
 
     Raises:
-        TimeToReachError: Unknown interpolation, a step that is not above 0, or too little memory.
+        TimeToReachError: Unknown interpolation, a non-positive step, or too little memory.
     """
 
     def __init__(self, game: SafetyGame, *, step: float | None = None, interpolation: str = "cubic") -> None:
@@ -108,21 +108,21 @@ class SafetySolver:
         """Compute the value.
 
         Args:
-            margin: Margin l, at least 0 where it is safe; a function of the time for obstacles that move.
-            target: Margin r, at least 0 inside a target that is to be reached; None for none.
-            horizon: Time that the game lasts [s], of which the steps are a whole fraction; None: for ever.
-            initial: Values to begin with, such as the last solution's; the margins unless given. Steps from values that
-                are nowhere too small end at the value itself. From smaller ones they may end at a smaller set, which is
-                safe all the same, unless there is a discount.
+            margin: Margin l, non-negative where safe; a function of time for moving obstacles.
+            target: Margin r, non-negative inside a target to reach; None for none.
+            horizon: Duration of the game [s], divided into whole steps; None for an infinite horizon.
+            initial: Initial values, e.g. of the last solution; default: the margins. From values that are nowhere too
+                small, the iteration converges to the value itself. From smaller ones it may end at a smaller set, which
+                is still safe, unless there is a discount.
             discount: Rate lambda [1/s] of the discounted form (Fisac et al. 2019), V = (1 - gamma) l + gamma min{l, V+}
-                with gamma = exp(-lambda step): from any initial values it ends at the same value, which is larger than
-                the plain one, the less so the smaller lambda.
-            tolerance: Largest change at which it stops [unit of the margin]; unless given 1e-4 of the margin's range.
-            max_steps: Number of steps after which it gives up; the result then says that it has not converged.
+                with gamma = exp(-lambda step): it converges to the same value from any initial values. That value is
+                larger than the undiscounted one, by less the smaller lambda is.
+            tolerance: Largest change at convergence [unit of the margin]; default: 1e-4 of the margin's range.
+            max_steps: Maximum number of steps; beyond it the result is marked as not converged.
             progress: Function called after each step with its number and the largest change.
 
         Raises:
-            TimeToReachError: An option or an array is wrong, or a margin moves without a horizon.
+            TimeToReachError: An option or an array is invalid, or a margin moves without a horizon.
         """
         for name, given in (("horizon [s]", horizon), ("tolerance", tolerance), ("discount [1/s]", discount)):
             if given is not None and not (math.isfinite(given) and given >= 0.0):
@@ -138,7 +138,7 @@ class SafetySolver:
         self._tabulate(step)
 
         def at(back: int) -> tuple[ArrayLike, ArrayLike | None]:
-            """Return margin and target so many steps before the end."""
+            """Return margin and target `back` steps before the end."""
             moment = (number - back) * step
             return _at(margin, moment), None if target is None else _at(target, moment)
 
@@ -160,15 +160,15 @@ class SafetySolver:
         return SafetySolution(self._grid.without_ghosts(values), done, change, converged, time.process_time() - begin)
 
     def shifted(self, values: ArrayLike, cells: Sequence[int], margin: ArrayLike) -> NDArray[np.float32]:
-        """Return values (grid shape) for a grid that has moved by whole cells, filled with the margin where it is new.
+        """Shift values (grid shape) to a grid that has moved by whole cells; new nodes take the margin.
 
         Args:
-            values: Values on the grid before.
-            cells: Cells that the grid has moved along each axis; 0 along those that the dynamics depend on.
-            margin: Margin on the grid after, broadcast to the grid.
+            values: Values on the previous grid.
+            cells: Cells that the grid has moved along each axis; 0 along axes that the dynamics depend on.
+            margin: Margin on the new grid, broadcast to the grid.
 
         Raises:
-            TimeToReachError: The dynamics depend on an axis that moves, or the shapes do not fit.
+            TimeToReachError: The dynamics depend on an axis that moves, or the shapes do not match.
         """
         given, grid = np.asarray(values, dtype=np.float32), self._grid
         if given.shape != grid.grid_shape or len(cells) != given.ndim:
@@ -188,7 +188,7 @@ class SafetySolver:
         return out
 
     def _tabulate(self, step: float) -> None:
-        """Tabulate steps of another length than the last ones."""
+        """Tabulate the steps again if their duration has changed."""
         if not math.isclose(step, self._tabulated, rel_tol=1e-9):
             self._grid, self._tables = make_tables(self.game, step, self._width)
             self._tabulated = step
@@ -202,7 +202,7 @@ class SafetySolver:
         return Margins(avoid, reach, math.exp(-discount * self._tabulated))
 
     def _first(self, margin: ArrayLike, target: ArrayLike | None, initial: ArrayLike | None) -> NDArray[np.float32]:
-        """Values to begin with, flat with ghosts; never above the margin."""
+        """Return initial values, flat with ghosts, clipped to the margin."""
         shape = self._grid.grid_shape
         first = np.asarray(margin, dtype=np.float32)
         if initial is not None:

@@ -1,4 +1,4 @@
-"""Arrays of the safety solver: the values with ghosts around them, and the steps of all blocks, tabulated once."""
+"""Arrays of the safety solver: values with ghost nodes around them, and the steps of all blocks, tabulated once."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ttr_reward_node.problems.safety import SafetyGame
 from ttr_reward_node.solvers.solution import require_memory
 from ttr_reward_node.solvers.steps import make_layout, slab_states
 
-_BLOCK = 1 << 16  # steps that are computed at once
-_CELLS = 2.0  # that the fastest axis moves in a step, on average over the grid
+_BLOCK = 1 << 16  # number of steps computed at once
+_CELLS = 2.0  # displacement of the fastest axis per step, on average over the grid [cells]
 Array = NDArray[np.float32]
 
 
 class GhostedGrid:
-    """Shapes of a game's grid in memory: outer axes, then inner ones, each with ghosts below and above.
+    """Memory layout of a game's grid: outer axes, then inner ones, each with ghosts below and above.
 
     Args:
         game: Game with the system and the axes.
-        moves: Cells that every step moves (blocks, pairs, n), axes in the layout's order.
+        moves: Displacements of all steps (blocks, pairs, n) [cells], axes in the layout's order.
         width: Nodes of a stencil along each axis, 2 or 4.
     """
 
@@ -49,11 +49,11 @@ class GhostedGrid:
 
     @property
     def strides(self) -> NDArray[np.int64]:
-        """Distance of neighbours along each axis, in the layout's order (n,)."""
+        """Distance between neighbours along each axis, in the layout's order (n,)."""
         return np.array([math.prod(self.shape[k + 1 :]) for k in range(len(self.shape))], dtype=np.int64)
 
     def with_ghosts(self, values: NDArray[Any]) -> Array:
-        """Return values (grid shape) flat with their ghosts."""
+        """Return values (grid shape) as a flat array with ghosts."""
         out = np.asarray(values, dtype=np.float32).transpose(self.order)
         for k in range(len(self.shape)):
             out = out.take(self._sources(k), axis=k)
@@ -65,7 +65,7 @@ class GhostedGrid:
         return np.ascontiguousarray(values.reshape(self.shape)[core].transpose(np.argsort(self.order)))
 
     def fill_outer_ghosts(self, values: Array) -> None:
-        """Copy edges, or along periodic axes the other ends, into the ghosts of the outer axes."""
+        """Copy edges, or the opposite ends along periodic axes, into the ghosts of the outer axes."""
         shaped = values.reshape(self.shape)
         for k in range(self.n_outer):
             sources = self._sources(k)
@@ -75,7 +75,7 @@ class GhostedGrid:
                 line[ghost] = line[low + sources[ghost]]
 
     def as_blocks(self, name: str, values: Any) -> Array:
-        """Return a margin (broadcast to the grid) as blocks with ghosts: a single one if all blocks are alike.
+        """Return a margin (broadcast to the grid) as blocks with ghosts; a single block if all are equal.
 
         Raises:
             TimeToReachError: The margin has another shape, or is not finite.
@@ -97,7 +97,7 @@ class GhostedGrid:
         return np.ascontiguousarray(out).reshape(-1, self.block_size)
 
     def _sources(self, k: int) -> NDArray[np.int64]:
-        """Return the indices along axis k of the nodes that ghosts and nodes copy."""
+        """Return, for each node and ghost along axis k, the index of the node that it copies."""
         at = np.arange(-self.ghosts[k][0], self.counts[k] + self.ghosts[k][1])
         return at % self.counts[k] if self.periodic[k] else np.clip(at, 0, self.counts[k] - 1)
 
@@ -116,12 +116,12 @@ def usual_step(game: SafetyGame) -> float:
 
 
 def make_tables(game: SafetyGame, step: float, width: int) -> tuple[GhostedGrid, SafetyTables]:
-    """Tabulate steps of `step` seconds for stencils of `width` nodes along each axis."""
+    """Tabulate steps of duration `step` [s] for stencils of `width` nodes along each axis."""
     moves = _tabulate(game, step)
     grid = GhostedGrid(game, moves, width)
     n_outer, n = grid.n_outer, len(grid.shape)
     blocks, n_pairs = moves.shape[:2]
-    pattern_axes = n - 1 if n_outer == n else n_outer  # without inner axes the last one is looked at in one go
+    pattern_axes = n - 1 if n_outer == n else n_outer  # without inner axes, stencils are contiguous along the last axis
     strides = grid.strides
     cells, parts = np.zeros(moves.shape, np.int64), np.zeros(moves.shape, np.float32)
     index = np.stack(np.unravel_index(np.arange(blocks), grid.counts[:n_outer]), axis=-1) if n_outer else None
@@ -158,14 +158,14 @@ def make_tables(game: SafetyGame, step: float, width: int) -> tuple[GhostedGrid,
 
 
 def memory_needed(game: SafetyGame) -> float:
-    """Return the bytes that tables, values and margins of a game take at most."""
+    """Return the peak memory of the tables, values and margins of a game [bytes]."""
     layout = make_layout(game)
     tables = layout.slabs * len(game.pairs()[0]) * (8.0 + 28.0 * len(game.axes))
-    return tables + 40.0 * math.prod(axis.count for axis in game.axes) + 2e8  # the last for compiling
+    return tables + 40.0 * math.prod(axis.count for axis in game.axes) + 2e8  # 200 MB for compilation
 
 
 def _tabulate(game: SafetyGame, step: float) -> NDArray[np.float64]:
-    """Cells that each step moves (blocks, pairs, n), axes in the layout's order; for a step of 0 the rates [1/s]."""
+    """Return displacements of the steps (blocks, pairs, n) [cells] in the layout's order; rates [1/s] for step 0."""
     require_memory(memory_needed(game), math.prod(axis.count for axis in game.axes))
     layout = make_layout(game)
     states, (u, d, _) = slab_states(game, layout), game.pairs()

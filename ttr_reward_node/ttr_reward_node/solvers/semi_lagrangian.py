@@ -1,6 +1,6 @@
-"""The semi-Lagrangian solver: from each node to where the controls take it in a few cells, until nothing changes.
+"""Semi-Lagrangian solver: from each node, steps of a few cells under each control, repeated until nothing changes.
 
-It sweeps in the phases of `solvers.phases`.
+The sweeps run in the phases of `solvers.phases`.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from ttr_reward_node.solvers.phases import CROSSINGS, Phases, Scales
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import make_layout, make_steps, pairs, step_lengths, tried_controls
 
-_TOLERANCE = 0.1  # of the time that the slowest axis takes to cross a cell at its top speed
-_LONG = 3.5  # cells: a longer step has to end where all is known and smooth
+_TOLERANCE = 0.1  # relative to the time that the slowest axis needs to cross a cell at its top speed
+_LONG = 3.5  # length above which a step must end where all corners are reachable and smooth [cells]
 
 
 def memory_needed(problem: TimeToReachProblem) -> float:
-    """Return the bytes that `solve` will take at most, with those of the value grid."""
+    """Return the peak memory of `solve`, including the value grid [bytes]."""
     layout = make_layout(problem)
     lengths = step_lengths(problem)
     n_pairs = len(lengths) * len(pairs(problem, tried_controls(problem, layout))[0])
-    # Durations, and once more while they are numbered; numbers, ends and ranges.
+    # Durations (twice while they are encoded), codes, ends and ranges.
     steps = layout.slabs * n_pairs * (14.0 + 2.0 * len(layout.order) + 2.0 * len(layout.inner))
     near = near_share(problem, max(lengths)) * problem.points * n_pairs * 4.0
     rows = 40.0 * problem.points / layout.counts[-1]
-    return steps + near + rows + problem.points * 21.0 + 2.5e8  # the last for compiling
+    return steps + near + rows + problem.points * 21.0 + 2.5e8  # 250 MB for compilation
 
 
 def solve(
@@ -39,7 +39,7 @@ def solve(
     progress: Progress | None = None,
     device: str = CPU,
 ) -> SweepResult:
-    """Solve a problem, with the arguments of `solver.solve`."""
+    """Solve a problem; arguments as in `solver.solve`."""
     require_memory(memory_needed(problem), problem.points)
     use = find_device(device)
     layout = make_layout(problem)

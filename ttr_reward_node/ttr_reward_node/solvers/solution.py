@@ -1,4 +1,4 @@
-"""Results of the solvers, and the memory that they need."""
+"""Results of the solvers, and a check of their memory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Outcome of a method: phi (grid shape) [s], +inf where unreachable; sweeps; last change [s]; whether small."""
+    """Result of a method: phi (grid shape) [s], +inf if unreachable; number of sweeps; last change [s]; convergence."""
 
     phi: NDArray[np.float32]
     number: int
@@ -29,17 +29,17 @@ class SweepResult:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A time-to-reach function and how it was found.
+    """Time-to-reach function and details of the solution.
 
     Attributes:
         grid: Time-to-reach function; +inf where the target cannot be reached.
-        sweeps: Number of sweeps until the solver stopped.
-        residual: Largest change of phi in the last sweep [s]; inf where nodes still became reachable.
+        sweeps: Number of sweeps.
+        residual: Largest change of phi in the last sweep [s]; inf if nodes still became reachable.
         converged: Whether the residual is within the tolerance.
-        cpu_seconds: Processor time [s], without compilation where the kernels were compiled before.
-        reachable: Fraction of the nodes from which the target can be reached.
-        memory: Estimate of the memory that the solver made beforehand [bytes].
-        certificate: Figures of drives and paths back, and doubts; None where it was not asked for.
+        cpu_seconds: Processor time [s], excluding compilation if the kernels are cached.
+        reachable: Fraction of the nodes that can reach the target.
+        memory: Memory estimate made before solving [bytes].
+        certificate: Results of drives and backward paths, and doubts; None if not requested.
     """
 
     grid: ValueGrid
@@ -53,10 +53,10 @@ class Solution:
 
 
 def require_memory(needed: float, points: int) -> None:
-    """Refuse a problem that does not fit.
+    """Check that a problem fits into memory.
 
     Raises:
-        TimeToReachError: More memory is needed than is free; both are named.
+        TimeToReachError: More memory is needed than is free; both amounts are named.
     """
     there = available_memory()
     if needed > there:
@@ -67,5 +67,5 @@ def require_memory(needed: float, points: int) -> None:
 
 
 def gigabytes(bytes_: float) -> str:
-    """Return a size as text, in GB."""
+    """Format a size in GB."""
     return f"{bytes_ / 1e9:.2f} GB"

@@ -1,4 +1,4 @@
-"""Solve a time-to-reach problem.
+"""Solvers of time-to-reach problems.
 
 solution = solve(problem_from_task("car_ttr"))
 grid = solve_task("car_ttr")
@@ -31,10 +31,10 @@ METHODS = {"semi_lagrangian": semi_lagrangian, "lax_friedrichs": lax_friedrichs}
 
 
 def memory_needed(problem: TimeToReachProblem, method: str = "semi_lagrangian", finer: int | None = None) -> float:
-    """Return the bytes that `solve` will take at most; arguments as there.
+    """Return the peak memory of `solve` [bytes]; arguments as there.
 
     Raises:
-        TimeToReachError: an unknown method, or a number of cells that is not positive.
+        TimeToReachError: An unknown method, or a non-positive number of cells.
     """
     solver = _method(method)
     return float(solver.memory_needed(refine(problem, _refinement(problem, solver, finer))))
@@ -55,22 +55,22 @@ def solve(
 
     Args:
         problem: Time-to-reach problem to solve.
-        method: "semi_lagrangian", or "lax_friedrichs" as the thesis does (section 3.2), which is less exact.
-        tolerance: Largest change of phi in a sweep at which it stops [s]; unless given a tenth of the time to cross a
-            cell, and a thousandth for Lax-Friedrichs, which converges slowly.
-        max_sweeps: Number of sweeps after which it gives up; the result then says that it has not converged, and is
-            +inf where the semi-Lagrangian method has not yet found a time of the right size.
+        method: "semi_lagrangian", or the thesis's "lax_friedrichs" (section 3.2), which is less accurate.
+        tolerance: Largest change of phi in a sweep at convergence [s]; default: a tenth of the time to cross a cell, or
+            a thousandth for Lax-Friedrichs, which converges slowly.
+        max_sweeps: Maximum number of sweeps; beyond it the result is marked as not converged, and is +inf where the
+            semi-Lagrangian method has not yet found a time of the right magnitude.
         progress: Function called after each sweep with its number and the largest change [s].
-        certify: Whether to try the solution afterwards, which takes a tenth of a second or a few per cent of the time.
-            Each doubt is a DoubtfulValueWarning, and stands in the solution's certificate.
-        finer: Into how many cells each of the grid's is split while it is solved; the values at its own nodes are
-            kept. Unless given, up to 4 on two axes, as far as that costs about a second; 1 on others.
-        device: "cpu", or "cuda" ("cuda:1" for a second one) to sweep on a GPU, which needs NVIDIA Warp; "warp:cpu"
-            runs the GPU's kernels on the CPU, for tests. Semi-Lagrangian only.
+        certify: Whether to certify the solution, which takes a tenth of a second or a few per cent of the time. Each
+            doubt is issued as a DoubtfulValueWarning, and recorded in the solution's certificate.
+        finer: Number of cells into which each grid cell is split along each axis while solving; the result contains the
+            values at the original nodes. Default: up to 4 on two axes if that costs about a second; otherwise 1.
+        device: "cpu", or "cuda" ("cuda:1" for a second one) to solve on a GPU, which needs NVIDIA Warp; "warp:cpu" runs
+            the GPU's kernels on the CPU, for tests. Semi-Lagrangian only.
 
     Raises:
-        TimeToReachError: an unknown method or device, a tolerance or number of sweeps or of cells that is not positive,
-            or the problem does not fit into memory; nothing has been computed then.
+        TimeToReachError: An unknown method or device, a non-positive tolerance or number of sweeps or cells, or a
+            problem that does not fit into memory. Raised before any computation.
     """
     if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
         raise TimeToReachError(f"tolerance {tolerance:g} s: it must be above 0")
@@ -110,7 +110,7 @@ def solve(
 
 
 def _make_grid(problem: TimeToReachProblem, method: str, sweeps: SweepResult, notes: dict[str, str]) -> ValueGrid:
-    # A file cannot hold an infinite residual: nodes were still changing sides, by as much as the largest time there is.
+    # A file cannot hold an infinite residual. Nodes still became reachable: record the largest time instead.
     finite = sweeps.phi[np.isfinite(sweeps.phi)]
     residual = sweeps.residual if np.isfinite(sweeps.residual) else float(finite.max(initial=0.0))
     return ValueGrid(
@@ -126,10 +126,10 @@ def _make_grid(problem: TimeToReachProblem, method: str, sweeps: SweepResult, no
 
 
 def check_reached(problem: TimeToReachProblem, value: ValueFunction) -> None:
-    """Refuse a solution of a problem whose goal nothing reaches from outside, and say why.
+    """Check that some state outside the goal can reach it.
 
     Raises:
-        TimeToReachError: Nothing reaches the goal; the likely cause is named.
+        TimeToReachError: No state can reach the goal; the likely cause is named.
     """
     if any(np.isfinite(grid.values).any() for grid in value.grids) and longest_time(value) > 0.0:
         return
@@ -149,7 +149,7 @@ def solve_task(task: NavigationTask | str | Path, method: str = "semi_lagrangian
     """Compute the value grid of a navigation task, with the options of `problem_from_task`.
 
     Raises:
-        TimeToReachError: The task has no such problem, or the solver refuses it.
+        TimeToReachError: The task has no such problem, or the solver rejects it.
     """
     return solve(problem_from_task(task, **options), method).grid
 

@@ -1,11 +1,11 @@
-"""Steps of the semi-Lagrangian scheme: the displacement of the system from each node under each control.
+"""Steps of the semi-Lagrangian scheme: displacement of the system from each node under each control.
 
-Robots move the same way wherever they are: f does not depend on the position, on some axes at all. So the steps are
-tabulated over the other axes alone (the 72 headings of a car, not its 734,472 nodes), with NumPy, from the one
-definition of f; and the compiled sweep needs to know no system.
+Robots move the same way at every position, so f does not depend on some of the axes. The steps are tabulated over the
+other axes only (for a car, 72 headings rather than 734,472 nodes), with NumPy, from the single definition of f; the
+compiled sweep is independent of the system.
 
 A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells, however long that takes. So it
-ends on a plane of the grid: there is nothing to interpolate along that axis, and a node never refers to itself.
+ends on a plane of the grid: no interpolation is needed along that axis, and a node never refers to itself.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import HeldPairs, Motion, Room, move_cells
 from ttr_reward_node.solvers.threads import for_each
 
-_BLOCK = 1 << 13  # steps that are computed at once: their arrays stay in the cache
-_SOME = 4096  # nodes whose rates tell which controls are worth trying
+_BLOCK = 1 << 13  # number of steps computed at once, so that their arrays fit into the cache
+_SOME = 4096  # number of nodes at which the usefulness of a control is judged
 _FEW_AXES, _MANY_AXES = 2, 4
-_STIFF = 0.2  # of the time in which the slowest axis crosses a cell at its top speed: in less only the fastest moves
-_PATIENCE = 1.5  # in a game in space: durations of the fastest pair at a node for which the others hold on at most
-_GRAZE = 0.25  # cells: a path that comes this far beyond a node has not left it
-_MOST_CODES = 1 << 16  # durations that 16 bits can tell apart
+_STIFF = 0.2  # duration below which only the fastest axis moves, relative to the slowest axis crossing a cell
+_PATIENCE = 1.5  # maximum duration relative to the fastest pair at a node, in games on more than two axes
+_GRAZE = 0.25  # distance that a path may extend beyond a node without leaving it [cells]
+_MOST_CODES = 1 << 16  # number of durations representable by 16 bits
 PARTS = 8
-"""Straight pieces that stand for the path of a step."""
-_FAR = 10_000.0  # cells: as far as 16 bits hold, and beyond any grid
-_EDGE = 1e-3  # cells: a step that was cut short at a limit ends there only to rounding
+"""Number of straight segments that approximate the path of a step."""
+_FAR = 10_000.0  # reach that fits into 16 bits and is beyond any grid [cells]
+_EDGE = 1e-3  # rounding error of a step truncated at a limit [cells]
 
 
 class Gridded(Protocol):
-    """A problem on a grid: a system and an axis for each of its states."""
+    """Problem on a grid: a system, and an axis for each of its states."""
 
     @property
     def system(self) -> System:
@@ -53,11 +53,11 @@ class Gridded(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The order of the axes in memory: first those that f depends on (`outer`), then the others (`inner`).
+    """Order of the axes in memory: first those that f depends on (`outer`), then the others (`inner`).
 
     Attributes:
         outer, inner: Indices of the problem's axes on which f depends, and of the others.
-        counts: Number of nodes on each axis in this order.
+        counts: Number of nodes on each axis, in this order.
         periodic: Whether each axis is periodic, in this order.
     """
 
@@ -68,16 +68,16 @@ class Layout:
 
     @property
     def order(self) -> tuple[int, ...]:
-        """All axes."""
+        """Indices of all axes, outer ones first."""
         return self.outer + self.inner
 
     def ordered(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return values (..., n) of the problem's axes in this order."""
+        """Reorder values (..., n) of the problem's axes to this order."""
         return values if self.order == tuple(range(len(self.order))) else values[..., self.order]
 
     @property
     def slabs(self) -> int:
-        """Number of nodes of the outer axes: f is the same all over the inner ones."""
+        """Number of nodes of the outer axes; f is constant along the inner ones."""
         return math.prod(self.counts[: len(self.outer)].tolist())
 
 
@@ -88,13 +88,13 @@ class Steps:
     Attributes:
         held: Controls and disturbances of the pairs: disturbances vary slowest, then lengths, then controls.
         lengths: Length of each pair's step [cells].
-        codes: Number of each step's duration (slabs, pairs), 0 where nothing moves, or where the step would leave the
-            limits of an outer axis.
-        durations: Durations by their number [s]; 0 at number 0.
+        codes: Code of each step's duration (slabs, pairs); 0 if nothing moves or the step would leave the limits of an
+            outer axis.
+        durations: Durations by code [s]; 0 for code 0.
         ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
-        ranges: Lowest and highest cell along each inner axis that a step comes to (slabs, pairs, inner, 2).
-        reach: Lowest and highest cell along each axis that any step comes to (slabs, n, 2).
-        controls: Number of controls, each with each length of step; the number of pairs is a multiple of it.
+        ranges: Lowest and highest cell of a step's path along each inner axis (slabs, pairs, inner, 2).
+        reach: Lowest and highest cell along each axis over all steps (slabs, n, 2).
+        controls: Number of combinations of control and step length; the number of pairs is a multiple of it.
         crossing: Time to cross a cell along the slowest axis at its top speed [s].
     """
 
@@ -110,7 +110,7 @@ class Steps:
 
 
 def make_layout(problem: Gridded) -> Layout:
-    """Find out which axes f depends on."""
+    """Determine the axes on which f depends."""
     depends = frozenset[int]().union(*(rate.states for rate in dependences(problem.system)))
     outer = tuple(k for k in range(len(problem.axes)) if k in depends)
     inner = tuple(k for k in range(len(problem.axes)) if k not in depends)
@@ -122,7 +122,7 @@ def make_layout(problem: Gridded) -> Layout:
 
 
 def slab_states(problem: Gridded, layout: Layout, slabs: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-    """Return the states (k, n) of slabs (k,), all unless given, in the problem's order; inner ones at the lower end."""
+    """Return the states (k, n) of slabs (k,), by default all, in the problem's order; inner axes at the lower end."""
     chosen = np.arange(layout.slabs) if slabs is None else slabs
     states = np.empty((len(chosen), len(problem.axes)))
     states[:] = [axis.lower for axis in problem.axes]
@@ -136,7 +136,7 @@ def slab_states(problem: Gridded, layout: Layout, slabs: NDArray[np.int64] | Non
 def pairs(
     problem: TimeToReachProblem, controls: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Return controls (p, m) and disturbances (p, n) of all pairs, controls the faster index, and how many they are."""
+    """Return controls (p, m) and disturbances (p, n) of all pairs, controls varying fastest, and the control count."""
     disturbances = problem.system.disturbance_samples(2)
     u = np.tile(controls, (len(disturbances), 1))
     d = np.repeat(disturbances, len(controls), axis=0)
@@ -146,13 +146,13 @@ def pairs(
 def rates_under_all_pairs(
     system: System, states: NDArray[np.float64], u: NDArray[np.float64], d: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return f at every state (k, n) under every pair (p, ...), shape (k, p, n), also where f depends on no state."""
+    """Return f at every state (k, n) under every pair (p, ...), shape (k, p, n), even if f depends on no state."""
     rates = system.dynamics(states[:, None], u, d)
     return np.broadcast_to(rates, (len(states), len(u), states.shape[-1]))
 
 
 def crossing_time(problem: TimeToReachProblem) -> float:
-    """Return how long the slowest axis takes to cross a cell at its top speed [s]; 0 where nothing moves."""
+    """Return the time for the slowest axis to cross a cell at its top speed [s]; 0 if nothing moves."""
     layout = make_layout(problem)
     u, d, _ = pairs(problem, tried_controls(problem, layout))
     spacings = np.array([axis.spacing for axis in problem.axes])
@@ -169,11 +169,11 @@ def crossing_time(problem: TimeToReachProblem) -> float:
 def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
     """Return the lengths of the steps [cells] under each control.
 
-    Under about one cell a node refers to itself. Lengths without a common divisor reach every heading of a lattice.
-    Each interpolation blurs the value a little, most where the best path runs along a kink (a car that brakes as late
-    as it can), so long steps make it exacter; the shortest finds the moment to switch. In a game both would hold a
-    disturbance for longer than it would hold itself, and near obstacles whoever steers by the values of long steps
-    drives over the edges.
+    A step shorter than about a cell refers to its own node. Lengths without a common divisor reach every heading of a
+    lattice. Each interpolation blurs the value a little, most where the optimal path runs along a kink (a car that
+    brakes as late as possible), so long steps increase accuracy; the shortest step resolves the moment to switch. In a
+    game, a long step would hold the disturbance longer than is optimal for it; and near obstacles, a robot that follows
+    the values of long steps drives over the edges.
     """
     game = any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances)
     if len(problem.axes) <= _FEW_AXES:
@@ -181,16 +181,16 @@ def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
     if game or problem.clearance is not None:
         return (2.0, 3.0)
     if not make_layout(problem).inner:
-        # Grids of four axes are coarse: a step of one cell switches sooner. It halves the error of a pair of pendulums.
+        # Grids with four axes are coarse: a step of one cell switches sooner, and halves the error of two pendulums.
         return (2.0, 3.0) if len(problem.axes) < _MANY_AXES else (1.0, 2.0)
     return (1.0, 7.0) if len(problem.axes) < _MANY_AXES else (1.0, 2.0, 7.0)
 
 
 def tried_controls(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:
-    """Return the controls (k, m) of the steps: the problem's samples, or the vertices of the box alone.
+    """Return the controls (k, m) of the steps: the problem's samples, or only the vertices of the box.
 
-    The vertices are enough for a system that is affine in its controls; the others save switching to and fro. Where
-    each node has steps of its own in four or more dimensions, the tables of all would take most of the memory.
+    The vertices suffice for a system affine in its controls; the other samples avoid chattering. If each node has its
+    own steps in four or more dimensions, tables for all samples would take most of the memory.
     """
     if not layout.inner and len(layout.outer) >= _MANY_AXES and is_affine(problem.system):
         return problem.system.control_samples(2)
@@ -199,7 +199,7 @@ def tried_controls(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.fl
     free = (low < 0.0) & (high > 0.0)
     if free.any() and not (samples == np.where(free, 0.0, samples)).all(axis=-1).any():
         rest = np.where(free, 0.0, 0.5 * (low + high))
-        return np.concatenate((samples, rest[None]))  # to coast: between bounds that differ, the middle is no rest
+        return np.concatenate((samples, rest[None]))  # coasting: the middle between asymmetric bounds is not zero
     return samples
 
 
@@ -214,8 +214,8 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
     keep = np.tile(useful, disturbances)
     held = HeldPairs(u[keep], d[keep])
     shape = (layout.slabs, disturbances, len(cells), int(useful.sum()))
-    # Who holds on for longer knows what the other one does next: in space that moves the barriers of a pursuit. In a
-    # plane the grid is finer, and a weak control beside a strong one needs its time, or it would never move a cell.
+    # During a long step, each player knows the other's next actions, which shifts the barriers of a pursuit on three or
+    # more axes. On two axes the grid is finer, and a weak control next to a strong one needs long steps to move a cell.
     patience = _PATIENCE if disturbances > 1 and len(problem.axes) > _FEW_AXES else None
     durations = np.empty(shape, np.float32)
     ends = np.empty((*shape, len(layout.order)), np.int16)
@@ -256,24 +256,24 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
 
 
 def _blocks(count: int, width: int) -> Iterator[slice]:
-    """Yield ranges of so many rows that what is computed at once fits into the cache."""
+    """Yield ranges of rows small enough for the working set to fit into the cache."""
     size = max(1, _BLOCK // width)
     for begin in range(0, count, size):
         yield slice(begin, min(begin + size, count))
 
 
 def _numbered(durations: NDArray[np.float32]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
-    """Return numbers of 16 bits for durations, and the durations by their numbers; 0 is number 0.
+    """Return 16-bit codes for durations, and the durations by code; code 0 is a duration of 0.
 
-    Exact where there are few, as of a robot that moves the same way wherever it is; else to 1 part in 5,000, of which
-    steps in a row average the most.
+    Exact if there are few distinct durations, as for a robot that moves the same way everywhere; otherwise to 1 part in
+    5,000, an error that mostly averages out over successive steps.
     """
     codes = np.empty(durations.shape, np.uint16)
-    if len(np.unique(durations.ravel()[: 2 * _MOST_CODES])) < _MOST_CODES:  # else sorting them all would be in vain
+    if len(np.unique(durations.ravel()[: 2 * _MOST_CODES])) < _MOST_CODES:  # avoids sorting all of them in vain
         book = np.unique(durations)
         if len(book) < _MOST_CODES:
-            zero = int(len(book) == 0 or book[0] > 0.0)  # number 0 means no step, also where every pair has one
-            for begin in range(0, len(durations), _BLOCK):  # NumPy's own inverse takes eight times the memory
+            zero = int(len(book) == 0 or book[0] > 0.0)  # code 0 means no step, even if every pair has one
+            for begin in range(0, len(durations), _BLOCK):  # np.unique's return_inverse takes eight times the memory
                 some = slice(begin, begin + _BLOCK)
                 codes[some] = np.searchsorted(book, durations[some]) + zero
             return codes, np.concatenate((np.zeros(zero), book))
@@ -290,10 +290,10 @@ def _numbered(durations: NDArray[np.float32]) -> tuple[NDArray[np.uint16], NDArr
 def _controls_to_keep(
     problem: TimeToReachProblem, layout: Layout, held: HeldPairs, crossing: float
 ) -> NDArray[np.bool_]:
-    """Whether each control is kept: the vertices, and those between that do not always make for very short steps.
+    """Whether each control is kept: the vertices, and others unless all their steps are very short.
 
-    Half of a torque that turns a quadrotor's pitch rate round in milliseconds leads nowhere that the whole of it does
-    not. Rates at some of the nodes decide.
+    For example, half of a torque that reverses a quadrotor's pitch rate within milliseconds achieves nothing that the
+    full torque does not. The decision is based on the rates at a subset of the nodes.
     """
     controls = tried_controls(problem, layout)
     if not problem.system.controls:
@@ -310,9 +310,10 @@ def _controls_to_keep(
 
 
 def _room(problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64]) -> Room:
-    """Return the room of states (k, 1, n): a step is cut short at a limit of an outer axis.
+    """Return the free space of states (k, 1, n): a step is truncated at a limit of an outer axis.
 
-    Along an inner axis, all nodes share the step: it is not cut, and who would leave by it does not take it.
+    Along an inner axis all nodes share the step, so it is not truncated; nodes from which it would leave the grid skip
+    it.
     """
     below, above = np.full(x.shape, np.inf), np.full(x.shape, np.inf)
     for k in layout.outer:
@@ -329,9 +330,9 @@ def _leaves(
     motion: Motion,
     hull: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> NDArray[np.bool_]:
-    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; `hull` is the motion's.
+    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; `hull` is that of the motion.
 
-    A step from beyond a limit, which may begin at the last node before it, only has to end within.
+    A step that starts beyond a limit, at the node next to it, only has to end within the limits.
     """
     doubtful, outside = np.zeros((2, *motion.durations.shape), dtype=bool)
     for k in layout.outer:
@@ -352,7 +353,7 @@ def _leaves(
 
 
 def _widen(reach: NDArray[np.int16], layout: Layout, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Widen the reach (k, n, 2) of states to boxes (k, p, n) [cells] around their steps."""
+    """Extend the reach (k, n, 2) of states by boxes (k, p, n) [cells] around their steps."""
     lowest = reduce(np.minimum, (low[:, p] for p in range(low.shape[1])))
     highest = reduce(np.maximum, (high[:, p] for p in range(high.shape[1])))
     reach[..., 0] = np.minimum(reach[..., 0], np.floor(np.maximum(layout.ordered(lowest), -_FAR)))

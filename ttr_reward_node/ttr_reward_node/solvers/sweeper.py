@@ -1,4 +1,4 @@
-"""Sweeps over the nodes in parts, by the kernel that suits the layout: rows of nodes alike, or each node by itself."""
+"""Sweeps over the nodes in parts, by the kernel for the layout: rows with equal steps, slabs, or single nodes."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from ttr_reward_node.solvers.near_nodes import NearNodes
 from ttr_reward_node.solvers.steps import Layout
 from ttr_reward_node.solvers.threads import share
 
-_LARGE = 50_000, 1_000_000  # nodes from which on a sweep is worth two threads: each by itself, or in rows alike
-_THICK = 8  # nodes along the first axis in each of two parts: what is at their border is one sweep old
-_SHORT = 48  # nodes: longer rows are worth stencils of their own
-_FULL_EVERY = 3  # of the sweeps over single nodes, one in so many tries all steps
+_LARGE = 50_000, 1_000_000  # number of nodes above which two threads pay off, with steps per node or shared by a row
+_THICK = 8  # minimum nodes along the first axis in each part, since values across the border are one sweep old
+_SHORT = 48  # maximum number of nodes in a row for sweeps by slab; longer rows justify their own stencils
+_FULL_EVERY = 3  # period of the sweeps over single nodes that try all steps
 
 
 class Sweeper(Protocol):
-    """Values of the nodes, and sweeps that bring them nearer to the solution."""
+    """Values of the nodes, and sweeps that bring them closer to the solution."""
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """W at the nodes, flat in the layout's order, to be read, and changed, between two sweeps."""
+        """Values w at the nodes, flat in the layout's order; may be read and changed between two sweeps."""
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
-        """Do sweep number `in_phase` of a phase; return the largest change [s], NaN if nothing shows by it."""
+        """Do sweep number `in_phase` of a phase; return the largest change [s], NaN if it does not show convergence."""
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
-        """Forget what has settled, because the next sweeps have other settings; they leave `lost` nodes as they are."""
+        """Reset the history because the settings change; the next sweeps leave `lost` nodes unchanged."""
 
     def cheapen(self, power: float) -> None:
-        """Multiply the rate of the transform: raise w at the nodes, and all that a step makes of w, to a power."""
+        """Multiply the rate of the transform: raise w at the nodes and the discounts of the steps to a power."""
 
     def restore(self) -> None:
-        """Undo what `cheapen` made of the steps, to the last bit; w at the nodes stays."""
+        """Undo the effect of `cheapen` on the steps exactly; w at the nodes stays."""
 
 
 def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) -> Sweeper:
-    """Return the sweeper for a layout: where no axis is an inner one, no two nodes share their steps."""
+    """Return the sweeper for a layout: without inner axes, no two nodes share their steps."""
     thick = len(layout.order) > 1 and bool(layout.outer) and int(layout.counts[0]) >= 2 * _THICK
     parts = 2 if near.flags.size >= _LARGE[1 if layout.inner else 0] and thick else 1
     if not layout.inner:
@@ -54,17 +54,17 @@ def make_sweeper(layout: Layout, grid: Grid, table: StepTable, near: NearNodes) 
 
 
 def _has_short_rows(layout: Layout) -> bool:
-    """Whether rows are so short that slabs are swept as a whole; each is a plane or more, from which no step wraps."""
+    """Whether rows are short enough to sweep whole slabs, with two or more inner axes and no step that wraps around."""
     first = len(layout.outer)
     flat_ = len(layout.inner) > 1 and not layout.periodic[first:].any()
     return flat_ and len(layout.outer) > 1 and int(layout.counts[-1]) <= _SHORT
 
 
 class _Sweeper:
-    """What the sweepers share: the nodes, and the steps between them.
+    """Common part of the sweepers: the nodes, and the steps between them.
 
-    With two parts each reads the other as it was before the sweep, however fast that one's thread is: the second half
-    of the arrays in `_doubled` is a copy of the first.
+    With two parts, each reads the other's values from before the sweep, regardless of thread timing: the second half of
+    the arrays in `_doubled` is a copy of the first.
     """
 
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
@@ -74,7 +74,7 @@ class _Sweeper:
         self._doubled: list[NDArray[Any]] = [self._nodes.values]
 
     def _in_parts(self, kernel: Callable[[int, int], float]) -> float:
-        """Return the largest change [s] of the parts, each swept by `kernel(part, parts)`."""
+        """Return the largest change [s] over the parts, each swept by `kernel(part, parts)`."""
         if self._parts > 1:
             for both in self._doubled:
                 both[len(both) // 2 :] = both[: len(both) // 2]
@@ -89,7 +89,7 @@ class _Sweeper:
 
 
 def mark_lost(flags: NDArray[np.uint8], lost: NDArray[np.bool_] | None) -> None:
-    """Mark those nodes (nodes,) as lost, and no others."""
+    """Mark the given nodes (nodes,) as unreachable, and no others."""
     flags &= ~np.uint8(LOST)
     if lost is not None:
         flags[lost] |= LOST
@@ -98,8 +98,8 @@ def mark_lost(flags: NDArray[np.uint8], lost: NDArray[np.bool_] | None) -> None:
 def cheapened(
     discounts: NDArray[np.float32], outcomes: NDArray[np.float32], power: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Raise discounts of steps, and those among outcomes, to a power in place; return what they were."""
-    kept = discounts.copy(), outcomes.copy()  # near 1 a root in single precision cannot be undone by a power
+    """Raise the discounts of steps and in outcomes to a power in place; return the original arrays."""
+    kept = discounts.copy(), outcomes.copy()  # a root in single precision near 1 cannot be undone by a power
     discounts **= np.float32(power)
     np.power(outcomes, np.float32(power), out=outcomes, where=outcomes > 0.0)
     return kept
@@ -159,7 +159,7 @@ class _NodeSweeper(_Sweeper):
     def __init__(self, grid: Grid, table: StepTable, near: NearNodes, parts: int) -> None:
         super().__init__(grid, table, near, parts)
         self._best = np.zeros(near.values.size, np.uint16)
-        # With a disturbance, the best step is another one for each of its values.
+        # In a game, the best step differs for each disturbance.
         self._every = _FULL_EVERY if table.codes.shape[1] == table.controls else 1
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:

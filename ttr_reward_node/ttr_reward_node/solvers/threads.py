@@ -1,4 +1,4 @@
-"""Work shared out between threads, in parts that are fixed: results do not depend on the number of cores."""
+"""Work distributed to threads in fixed parts, so that results do not depend on the number of cores."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-_MOST_THREADS = 8  # more of them wait for the interpreter's lock between NumPy's calls
+_MOST_THREADS = 8  # more threads only wait for the GIL between NumPy calls
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 def share(work: Callable[[int, int], Result], parts: int) -> list[Result]:
-    """Return the results of `work(part, parts)` for each part, done at the same time where there is more than one.
+    """Return the results of `work(part, parts)` for each part, computed in parallel if there are several.
 
-    Compiled work, which lets go of the interpreter's lock, takes as many cores as it has parts.
+    Compiled work, which releases the GIL, uses as many cores as it has parts.
     """
     if parts == 1:
         return [work(0, 1)]
@@ -24,7 +24,7 @@ def share(work: Callable[[int, int], Result], parts: int) -> list[Result]:
 
 
 def for_each(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return the results of `work(item)` for each item, in their order, computed on as many cores as there are."""
+    """Return the results of `work(item)` for each item, in order, computed on the available cores."""
     threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS)
     if threads == 1:
         return [work(item) for item in items]

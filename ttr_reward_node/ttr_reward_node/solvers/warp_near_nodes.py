@@ -1,4 +1,4 @@
-"""Outcomes of the steps near target and obstacles, followed on a GPU, or by the same kernel on the CPU."""
+"""Outcomes of the steps near target and obstacles, computed on a GPU or by the same kernel on the CPU."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ttr_reward_node.kernels.stencil import Grid
 from ttr_reward_node.kernels.warp_outcomes import Boundary, find_outcomes
 
 BLOCK = 1 << 24
-"""Outcomes that are found at once: some 100 MB of the device's memory."""
+"""Number of outcomes computed at once: about 100 MB of device memory."""
 
 
 class OutcomeFinder:
     """Function that fills in outcomes, with the arguments of `kernels.boundary_conditions.find_outcomes`.
 
     Args:
-        device: Name of Warp's device.
+        device: Name of the Warp device.
     """
 
     def __init__(self, device: str) -> None:

@@ -1,4 +1,4 @@
-"""Sweeps on a GPU, or by the same kernels on the CPU, behind the protocol of `solvers.sweeper`."""
+"""Sweeps on a GPU, or by the same kernels on the CPU, with the interface of `solvers.sweeper`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ttr_reward_node.kernels.warp_sweep import sweep_kernels
 from ttr_reward_node.solvers.near_nodes import NearNodes
 from ttr_reward_node.solvers.sweeper import cheapened, mark_lost
 
-# Updates of each node in a sweep: the first tries all pairs, the others the best of these alone, as policy iteration
-# does, at a fraction of the cost. What is new goes one step further in each.
+# Updates of each node per sweep: the first tries all pairs, the others only the best of these, as in policy iteration,
+# at a fraction of the cost. Changes propagate one step per update.
 _UPDATES = 5
-_TURNS = 2  # passes in which all nodes have been updated once
+_TURNS = 2  # passes until all nodes have been updated once
 
 
 class WarpSweeper:
-    """Sweeper whose values and tables stay in the device's memory; results are the same in every run.
+    """Sweeper whose values and tables stay in device memory; results are identical in every run.
 
     Args:
-        device: Name of Warp's device, such as "cuda:0" or "cpu".
+        device: Name of the Warp device, e.g. "cuda:0" or "cpu".
         grid: Axes in the layout's order.
         table: Steps of the slabs.
         near: Nodes near target and obstacles, and outcomes of their steps.
@@ -42,7 +42,7 @@ class WarpSweeper:
         self._host, self._host_is_newer, self._device_is_newer = near.values, False, False
         self._values, self._news = self._put(near.values), wp.empty(near.values.size, dtype=float, device=device)
         self._flags, self._host_flags = self._put(near.flags), near.flags
-        # A node cannot be near and lost before the first phase is over: this is the order of `near.outcomes`.
+        # Same order as `near.outcomes`: no near node is marked unreachable before the first phase ends.
         self._near = self._put(np.flatnonzero(near.flags == NEAR).astype(np.int32))
         self._outcomes, self._host_outcomes = self._put(near.outcomes), near.outcomes
         self._table, self._shape = Table(), self._kernels.shape()
@@ -62,14 +62,14 @@ class WarpSweeper:
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """W at the nodes, which the owner may change before the next sweep."""
+        """Values w at the nodes; may be changed before the next sweep."""
         if self._device_is_newer:
             self._host[:] = self._values.numpy()
         self._host_is_newer, self._device_is_newer = True, False
         return self._host
 
     def sweep(self, settings: SweepSettings, in_phase: int) -> float:
-        """Update every node that may change some times; return a bound of the largest change [s]."""
+        """Update every node that may change several times; return an upper bound of the largest change [s]."""
         del in_phase
         if self._host_is_newer:
             wp.copy(self._values, wp.array(self._host, dtype=float, device="cpu", copy=False))
@@ -79,24 +79,24 @@ class WarpSweeper:
         for turn in range(_UPDATES * _TURNS):
             self._passes += 1
             rule.number, rule.slot = self._passes, turn
-            rule.full = int(turn < _TURNS or self._game)  # in a game, each disturbance has a best control of its own
+            rule.full = int(turn < _TURNS or self._game)  # in a game, the best control differs for each disturbance
             self._pass(rule)
         return float(self._changes.numpy().sum()) / settings.rate
 
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
-        """Forget what has settled; leave `lost` nodes as they are."""
+        """Reset the history; the next sweeps leave `lost` nodes unchanged."""
         self._seen.zero_()
         mark_lost(self._host_flags, lost)
         self._flags = self._put(self._host_flags)
 
     def cheapen(self, power: float) -> None:
-        """Multiply the rate of the transform, on the host: it happens once at most."""
+        """Multiply the rate of the transform; done on the host, at most once."""
         self.values[:] **= np.float32(power)
         self._kept = cheapened(self._host_discounts, self._host_outcomes, power)
         self._table.discounts, self._outcomes = self._put(self._host_discounts), self._put(self._host_outcomes)
 
     def restore(self) -> None:
-        """Undo what `cheapen` made of the steps."""
+        """Undo the effect of `cheapen` on the steps."""
         self._host_discounts[:], self._host_outcomes[:] = self._kept
         self._table.discounts, self._outcomes = self._put(self._host_discounts), self._put(self._host_outcomes)
 
@@ -125,6 +125,6 @@ class WarpSweeper:
 
 
 def free_memory(device: str) -> float:
-    """Return the bytes that are free on a GPU, infinite for the CPU, whose memory `solution.require_memory` checks."""
+    """Return the free memory of a GPU [bytes]; infinite for the CPU, which `solution.require_memory` checks."""
     found = wp.get_device(device)
     return float(found.free_memory) if found.is_cuda else math.inf

@@ -1,4 +1,4 @@
-"""Learning with time-to-reach rewards (thesis 3.2.3)."""
+"""Training with time-to-reach rewards (thesis 3.2.3)."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""The commands `train` and `plot`: learning with every reward, and pictures of it."""
+"""The commands `train` and `plot`: training with every reward, and figures of the results."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from ttr_reward_node.rewards.rewards import PROGRESS, TRAINING_REWARDS
 
 @dataclass(frozen=True, kw_only=True)
 class Train(SimulatedOptions):
-    """Learn a task with rewards and algorithms, from several seeds; go on where an earlier call was cut off."""
+    """Train policies on a task with several rewards, algorithms and seeds; resume interrupted runs."""
 
     folder: FolderToWrite = Path("runs/ttr_training")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder with one subfolder per run; interrupted runs resume from it."""
     grid: Path | None = None
     """Time-to-reach function of the task (.safetensors), for the rewards ttr_progress and ttr."""
     algorithms: Annotated[tuple[str, ...], some_of(ALGORITHMS)] = THESIS_ALGORITHMS
-    """Algorithms to learn with."""
+    """Algorithms to train with."""
     rewards: Annotated[tuple[str, ...], some_of(TRAINING_REWARDS)] = (PROGRESS,)
-    """Rewards to learn with; best progress of the time to reach unless given."""
+    """Rewards to train with (default: best progress in the time to reach)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(TaskPlotOptions):
-    """Draw success, visits and paths (thesis Fig. 3.4 to 3.7) from the results that `train` wrote."""
+    """Plot success, visited states and paths (thesis Fig. 3.4 to 3.7) from the results of `train`."""
 
     algorithm: str | None = None
-    """Algorithm of visits and paths (default: the first)."""
+    """Algorithm whose visited states and paths to plot (default: the first)."""
 
 
 def _train(options: Train) -> int:
@@ -55,7 +55,7 @@ def _train(options: Train) -> int:
     needing = [reward for reward in (PROGRESS, "ttr") if reward in rewards]
     if needing and options.grid is None:
         raise TimeToReachError(f"the reward {needing[0]} needs --grid: make it with `solve --task {options.task}`")
-    # Torch takes seconds to import: not before the arguments are right.
+    # Importing torch takes seconds, so check the arguments first.
     from ttr_reward_node.training.results import collect
     from ttr_reward_node.training.training import reward_runs
 
@@ -63,13 +63,13 @@ def _train(options: Train) -> int:
         options.task, options.algorithms or THESIS_ALGORITHMS, rewards, options.seeds, options.grid, options.engine
     )
     for run in {run.reward: run for run in runs}.values():
-        run.environment().close()  # refuses what is wrong before workers start
+        run.environment().close()  # reports errors before the workers start
     train_and_collect(options, runs[0].task, runs, "ttr_training", collect, options.run_options())
     return 0
 
 
 def _figures(options: Plot) -> int:
-    from ttr_reward_node.training.plots import Learning, draw_all  # matplotlib is not for robots
+    from ttr_reward_node.training.plots import Learning, draw_all  # keep matplotlib off robots
 
     figures, task = read_training(options, Learning)
     there = list(dict.fromkeys(method.split(", ")[0] for method in figures["curves"]))

@@ -1,6 +1,6 @@
-"""A policy learnt in a simulated task, in one call: `train` of the front door.
+"""Training of a policy on a simulated task in one call: the function `ctrl_rl.train`.
 
-`ros2 run ttr_reward_node train` does the same for many seeds and rewards, and goes on where it was cut off.
+`ros2 run ttr_reward_node train` does the same for several seeds and rewards, and resumes interrupted runs.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def train(
     tell: Callable[[int], object] | None = None,
     curves: str | Path | None = None,
 ) -> Actor:
-    """Learn a policy in a simulated task; robots drive side by side where the task is a fleet's.
+    """Train a policy on a simulated task, in a fleet of robots if the task supports it.
 
-    The policy's `save` writes a file for the node `policy`, with the success in fresh episodes in its manifest.
+    The policy's method `save` writes a file for the node `policy`; its manifest holds the success rate in new episodes.
 
     >>> import ctrl_rl
     >>> value = ctrl_rl.solve("car_ttr", counts=(41, 41, 24))
@@ -64,12 +64,12 @@ def train(
     Args:
         task: Navigation task in an arena, its name or its file.
         algorithm: "ppo", "trpo", "ddpg" or "sac".
-        reward: Pay for the time to reach beside the task's own rewards; best progress of the time to reach that is
-            solved here, unless given.
-        samples: Number of samples; whole roll-outs of 2048 are done.
-        seed: Seed of everything random.
-        episodes: Number of fresh episodes in which the policy is tried.
-        tell: Function that is told the number of samples after each roll-out.
+        reward: Progress reward added to the task's own rewards; by default the time to reach is solved here and its
+            best progress is paid.
+        samples: Number of samples, rounded up to whole roll-outs of 2048.
+        seed: Random seed.
+        episodes: Number of new episodes in which the policy is evaluated.
+        tell: Function called with the number of samples after each roll-out.
         curves: Folder for the curves of loss, return, entropy and success, as CSV and for TensorBoard.
 
     Raises:
@@ -77,7 +77,7 @@ def train(
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
-    number = number_of_environments(algorithm)  # refuses an unknown one before anything is solved
+    number = number_of_environments(algorithm)  # rejects an unknown algorithm before anything is solved
     pay = TimeToReach(solve_value(task)) if reward is None else reward
     own_states = task.system.build().state_names
     pay.check_states(own_states)
@@ -119,7 +119,7 @@ def train(
 
 
 def _figures(recorder: Recorder) -> dict[str, float]:
-    """Return success and return of the episodes that ended; nothing where none did."""
+    """Return success and return of the finished episodes; empty if there are none."""
     count = len(recorder.outcomes)
     if not count:
         return {}
@@ -138,7 +138,7 @@ def _environment(task: NavigationTask, pay: TimeToReach) -> Environment:
 def _try(
     actor: Actor, task: NavigationTask, episodes: int, make: Callable[[], Environment], in_fleet: bool
 ) -> Episodes[Any]:
-    """Return fresh episodes of a policy."""
+    """Evaluate a policy in new episodes and return them."""
     if in_fleet or not episodes:
         return evaluate_in_fleet(actor, task, range(_TEST_SEED, _TEST_SEED + episodes))
     environment = make()

@@ -1,4 +1,4 @@
-"""Pictures of learning, drawn from results: success (thesis Fig. 3.4, 3.6) and visits (Fig. 3.7)."""
+"""Training figures drawn from results: success (thesis Fig. 3.4, 3.6) and visited states (Fig. 3.7)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ttr_reward_node.training.results import STAGES
 
 _FILES = {"success": "svg", "visits": "png", "turns": "svg", "paths": "png"}
 _DRAWN = (PROGRESS, "ttr", "distance_10", "distance_0", "sparse")
-"""Rewards that are drawn; the others are in the tables."""
+"""Rewards shown in figures; the tables contain all."""
 _LABELS = {
     PROGRESS: "progress of time to reach",
     "sparse": "sparse",
@@ -47,7 +47,7 @@ _Rows = Annotated[list[_Row], Field(min_length=1, max_length=1000)]
 
 
 class Visited(Schema):
-    """How often states were met in each third of the training, see `results.collect`."""
+    """Visit counts of states in each third of the training, see `results.collect`."""
 
     places: Annotated[list[_Rows], Field(min_length=STAGES, max_length=STAGES)]
     turns: Annotated[list[_Row], Field(min_length=STAGES, max_length=STAGES)]
@@ -62,7 +62,7 @@ class Visited(Schema):
 
 
 class Learning(Figures):
-    """What is drawn of learning, see `results.collect`."""
+    """Data of the training figures, see `results.collect`."""
 
     seeds: Annotated[dict[str, Annotated[list[int], Field(max_length=100_000)]], Field(min_length=1)]
     curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=100)]
@@ -74,7 +74,7 @@ _THIRDS = ("first third", "second third", "last third")
 
 
 def draw_all(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, folder: Path) -> Iterator[Path]:
-    """Draw success, visits and paths, and return the files; paths are left out where there are none."""
+    """Plot success, visited states and paths, and yield the files; paths are omitted if there are none."""
     files = {part: folder / f"{task.name}_{part}.{kind}" for part, kind in _FILES.items()}
     draw_curves(figures, files["success"])
     draw_visits(figures, task, algorithm, files["visits"])
@@ -90,7 +90,7 @@ def draw_all(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, f
 
 
 def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
-    """Draw success while learning, a panel for each algorithm."""
+    """Plot success over training samples, one panel per algorithm."""
     curves: Mapping[str, Any] = figures["curves"]
     algorithms = list(dict.fromkeys(method.split(", ")[0] for method in curves))
     panels = [
@@ -109,9 +109,9 @@ def draw_curves(figures: Mapping[str, Any], path: Path) -> None:
 
 
 def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
-    """Draw where learning was in each third of the training, with and without the time to reach (Fig. 3.7)."""
+    """Plot the positions visited in each third of the training, with and without the time to reach (Fig. 3.7)."""
     rewards = _compared(figures, algorithm)
-    # Darkest is the place that was met most often in any third.
+    # The darkest colour is the most visited position of any third.
     most = max(np.max(figures["visits"][f"{algorithm}, {reward}"]["places"]) for reward in rewards)
     (_, width), (_, height) = task.plane_bounds.items()
     with picture(path, f"{task.name}, {algorithm.upper()}: where it was while it learnt", len(rewards), STAGES,
@@ -130,7 +130,7 @@ def draw_visits(figures: Mapping[str, Any], task: NavigationTask, algorithm: str
 
 
 def draw_turns(figures: Mapping[str, Any], task: NavigationTask, algorithm: str, path: Path) -> None:
-    """Draw at which angles learning was in each third of the training, with and without the time to reach."""
+    """Plot the angles visited in each third of the training, with and without the time to reach."""
     angle = next(name for name in task.system.build().state_names if name in ANGLES)
     target = task.goal.region.intervals.get(angle)
     with picture(path, f"{task.name}, {algorithm.upper()}: angles met while learning", 1, STAGES, height=2.6,
@@ -157,7 +157,7 @@ def draw_turns(figures: Mapping[str, Any], task: NavigationTask, algorithm: str,
 
 
 def _compared(figures: Mapping[str, Any], algorithm: str) -> list[str]:
-    """Return the reward that was made of the time to reach, and the sparse one, as far as they were learnt with."""
+    """Return the time-to-reach reward and the sparse reward, as far as runs with them exist."""
     ours = PROGRESS if f"{algorithm}, {PROGRESS}" in figures["visits"] else "ttr"
     found = [reward for reward in (ours, "sparse") if f"{algorithm}, {reward}" in figures["visits"]]
     if not found:

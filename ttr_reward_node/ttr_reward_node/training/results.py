@@ -1,4 +1,4 @@
-"""The table of a task's runs, all rewards and algorithms, and the data of the pictures.
+"""Table of a task's runs over all rewards and algorithms, and the data of the figures.
 
 rows, figures = collect(reward_runs("quad_ttr"), Path("runs/ttr_training"))
 """
@@ -18,17 +18,17 @@ from ctrl_rl_core import Result
 from ttr_reward_node.training.training import RewardRun
 
 THESIS_SAMPLES = {"quad_ttr": 90_000.0}
-"""After how many samples the thesis's quadrotor is that good with the time-to-reach reward."""
+"""Number of samples after which the thesis's quadrotor reaches `GOOD` with the time-to-reach reward, by task."""
 STAGES = 3
-"""Parts of the training that Fig. 3.7 shows one by one."""
+"""Number of phases of the training shown separately in Fig. 3.7."""
 
 
 def collect(todo: Sequence[RewardRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the table and the figures' data of all runs that are finished.
+    """Return the table and the figure data of all finished runs.
 
     Returns:
-        For each algorithm and reward the success of the last evaluation and the samples to `GOOD`, one value a seed
-        (seeds that never get there are left out and counted); and `curves`, `visits` and `paths` by method.
+        For each algorithm and reward, the success of the last evaluation and the samples to `GOOD`, one value per seed
+        (seeds that never reach it are excluded and counted); and `curves`, `visits` and `paths` by method.
     """
     found = finished_runs(todo, folder, lambda run: f"{run.algorithm}, {run.reward}")
     metrics = [metric("success", "1", lambda result: result["success"]), *metrics_of_speed()]
@@ -46,7 +46,7 @@ def _thesis(run: RewardRun, name: str) -> float | None:
 
 
 def _visits(folder: Path, runs: Sequence[RewardRun]) -> dict[str, list[Any]]:
-    """How often states were met in each third of the training, all seeds together: places and angles."""
+    """Return visit counts of states in each third of the training, summed over seeds, by position and angle."""
     places: list[NDArray[np.int64]] = []
     turns: list[NDArray[np.int64]] = []
     for run in runs:

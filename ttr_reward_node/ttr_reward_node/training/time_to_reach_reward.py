@@ -1,17 +1,17 @@
-"""The time to reach as the reward of any Gymnasium environment, single or vectorised.
+"""Time to reach as the reward of any Gymnasium environment, single or vectorised.
 
     environment = TimeToReachReward(gymnasium.make("Mine-v0"), value, state=lambda observation: observation[:3])
     environment = TimeToReachVectorReward(gymnasium.make_vec("Mine-v0", 8), value, lambda observations: ...)
 
-What is paid, whichever way an episode goes:
+Rules of the reward:
 
-- A reset, also one within an episode, begins anew at its own state.
-- A state outside the grid is looked up at the nearest state within; a state from which no way to the goal is known
-  pays nothing, and counts as the longest time where an episode begins in it.
-- A terminated episode pays the progress of its last step, and `shaping` takes back its potential. Where `info` says
-  that the goal is reached (`is_success`, or the suite's `outcome`), the time is 0 even if the state stopped short of
-  the goal of the value function.
-- A truncated episode is no end of the task: its last step pays as any other, so that a learner may bootstrap from it.
+- A reset, even within an episode, starts a new episode at its state.
+- A state outside the grid is looked up at the nearest state on it. A state that cannot reach the goal pays nothing, and
+  counts as the longest time if an episode begins there.
+- A terminated episode pays the progress of its last step, and `shaping` deducts its potential. If `info` reports that
+  the goal is reached (`is_success`, or the suite's `outcome`), the time is 0 even if the state is not yet in the goal
+  of the value function.
+- A truncated episode has not ended the task: its last step pays like any other, so that a learner can bootstrap.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _RESET_FIRST = "reset the environment before its first step"
 
 
 class TimeToReachReward(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Pays progress by the time to reach, beside the environment's own reward.
+    """Adds a reward for progress in the time to reach to the environment's own reward.
 
-    `info` then has `time_to_reach`, the time from the new state to the goal [s]; +inf where no way is known. Wrap below
-    any wrapper that resets by itself (`gymnasium.wrappers.Autoreset`).
+    Each step also sets `info["time_to_reach"]`, the time from the new state to the goal [s]; +inf if it cannot be
+    reached. Apply this wrapper before any wrapper that resets automatically (`gymnasium.wrappers.Autoreset`).
 
     >>> import ctrl_rl, gymnasium, numpy as np
     >>> value = ctrl_rl.solve("car_ttr", counts=(41, 41, 24))
@@ -73,19 +73,19 @@ class TimeToReachReward(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Wrap an environment.
 
         Args:
-            env: Environment to pay in, of any kind.
-            value: Time to reach that `ctrl_rl.solve` returns, or a file of one as `load_value` reads it.
-            state: Where the state of the value's system is, in SI units: a key of `info`, a function of the
-                observation, or a function of the observation and `info`. It may see more than the learner does.
-            kind: "best_progress" (pays each second that the goal comes nearer than ever before in the episode),
-                "progress" (takes back what is lost) or "shaping" (keeps the optimal policy).
-            per_second: Reward for a second of progress. An episode pays at most this times phi(start): make that of
-                the order of what the environment pays for the goal.
-            discount: Discount of a step, which "shaping" needs to know.
-            own: Weight of the environment's own reward; 0 to leave it out.
+            env: Any Gymnasium environment.
+            value: Time-to-reach function, as returned by `ctrl_rl.solve` or `load_value`.
+            state: Source of the state of the value's system in SI units: a key of `info`, a function of the
+                observation, or a function of the observation and `info`. It may contain more than the learner observes.
+            kind: "best_progress" (pays each second below the minimum time to reach so far in the episode), "progress"
+                (also deducts losses) or "shaping" (preserves the optimal policy).
+            per_second: Reward per second of progress. An episode pays at most this times phi(start): choose it so that
+                the sum is of the order of the environment's reward for the goal.
+            discount: Discount factor per step, used by "shaping".
+            own: Weight of the environment's own reward; 0 to omit it.
 
         Raises:
-            TimeToReachError: An argument is wrong, or nothing outside the goal of the value reaches it.
+            TimeToReachError: An argument is invalid, or no state outside the goal of the value can reach it.
         """
         super().__init__(env)
         self._potential = TimeToReach(value, kind, per_second=per_second, discount=discount)
@@ -102,7 +102,7 @@ class TimeToReachReward(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, {**info, "time_to_reach": seconds}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Do a step and pay for it.
+        """Take a step and add its reward.
 
         Raises:
             TimeToReachError: There was no reset, or the state cannot be read.
@@ -121,15 +121,15 @@ class TimeToReachReward(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 class TimeToReachVectorReward(VectorWrapper):
-    """Pays as `TimeToReachReward` in a vectorised environment, all of its autoreset modes included.
+    """Adds the reward of `TimeToReachReward` to a vectorised environment, with any of Gymnasium's autoreset modes.
 
     Args:
-        env: Vectorised environment to pay in, of any kind.
-        value: Time to reach.
-        state: Key of `info`, or function of the observations (and `info`), that gives the states (N, n).
-        kind: Kind of the pay.
-        per_second: Reward for a second of progress.
-        discount: Discount of a step, which "shaping" needs to know.
+        env: Any vectorised Gymnasium environment.
+        value: Time-to-reach function.
+        state: Key of `info`, or function of the observations (and `info`), that returns the states (N, n).
+        kind: Kind of progress reward.
+        per_second: Reward per second of progress.
+        discount: Discount factor per step, used by "shaping".
         own: Weight of the environment's own rewards.
     """
 
@@ -153,7 +153,7 @@ class TimeToReachVectorReward(VectorWrapper):
         self._over: NDArray[np.bool_] | None = None
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes: all, or those of `options["reset_mask"]`."""
+        """Begin episodes: all of them, or those in `options["reset_mask"]`."""
         observations, infos = self.env.reset(seed=seed, options=options)
         which = (options or {}).get("reset_mask", True)
         self._pay.begin(self._seconds(observations, infos), which)
@@ -161,7 +161,7 @@ class TimeToReachVectorReward(VectorWrapper):
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Do a step and pay for it.
+        """Take a step and add its reward.
 
         Raises:
             TimeToReachError: There was no reset, or the states cannot be read.
@@ -175,7 +175,7 @@ class TimeToReachVectorReward(VectorWrapper):
             last = np.where(over, self._seconds(self._last(observations, infos), infos.get("final_info", {})), seconds)
         paid = self._pay.step(last, terminated)
         begun = over if self._mode == AutoresetMode.SAME_STEP else self._over
-        if self._mode == AutoresetMode.NEXT_STEP:  # the step only reset those that were over: it pays nothing
+        if self._mode == AutoresetMode.NEXT_STEP:  # for finished episodes this step was only a reset, without a reward
             paid = np.where(self._over, 0.0, paid)
         if self._mode != AutoresetMode.DISABLED:
             self._pay.begin(seconds, begun)
@@ -187,7 +187,7 @@ class TimeToReachVectorReward(VectorWrapper):
         return np.where(reached, 0.0, self._potential.times(self._states(observations, infos)))
 
     def _last(self, observations: Any, infos: Mapping[str, Any]) -> Any:
-        """Return the observations in which those of episodes that are over are their own last ones."""
+        """Return the observations, with those of finished episodes replaced by their final ones."""
         rows = list(iterate(self.observation_space, observations))
         final = infos["final_obs"]
         found = [row if final[index] is None else final[index] for index, row in enumerate(rows)]

@@ -1,4 +1,4 @@
-"""The runs of thesis 3.2.3: each algorithm with each reward of Table 3.3, and progress, from several seeds."""
+"""Training runs of thesis 3.2.3: each algorithm with each reward of Table 3.3, and progress, for several seeds."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ Array = NDArray[np.float64]
 
 
 class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
-    """Pays one of the rewards of Table 3.3 instead of the task's own.
+    """Replaces the task's own reward by one of Table 3.3.
 
     Args:
         environment: Environment of a task of the suite.
-        reward: Reward that is paid for the true state.
+        reward: Reward of the true state.
     """
 
     def __init__(self, environment: Environment, reward: Reward) -> None:
@@ -48,58 +48,58 @@ class RewardWrapper(gymnasium.Wrapper[Vector, Vector, Vector, Vector]):
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
         """Hold an action for the task's time step."""
         observation, paid, terminated, truncated, info = self.env.step(action)
-        # How an episode ends pays what the task says, whichever the reward: the environment has paid it already.
+        # The end of an episode pays the task's reward for all kinds: the environment has already paid it.
         if not (terminated or truncated):
             paid = self._reward(info["state"][None], np.array([Outcome.RUNNING]))[0]
         return observation, float(paid), terminated, truncated, info
 
 
 class StateReward:
-    """Pays the robots of a fleet one of the rewards of Table 3.3 while an episode goes on, as `RewardWrapper` does.
+    """Pays the robots of a fleet a reward of Table 3.3 during an episode, as `RewardWrapper` does for one robot.
 
     Args:
-        reward: Reward that is paid for the true states.
+        reward: Reward of the true states.
     """
 
     def __init__(self, reward: Reward) -> None:
         self._reward = reward
 
     def begin(self, robots: Sequence[int], states: Array) -> None:
-        """Do nothing: a state pays whatever came before."""
+        """Do nothing: the reward of a state does not depend on earlier states."""
 
     def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
-        """Return what a step pays each robot (N,), see `FleetReward`."""
+        """Return the reward of a step for each robot (N,), see `FleetReward`."""
         return np.where(outcomes == Outcome.RUNNING, self._reward.intermediate(states), rewards)
 
 
 def make_progress(task: NavigationTask, value: ValueFunction, rate: int | None = None) -> Environment:
-    """Return the environment of a task that pays the best progress of its time to reach, see `rewards.progress`."""
-    make_reward("ttr", task, value)  # refuses a value that does not belong to the task
+    """Return the environment of a task with a reward for best progress in its time to reach, see `rewards.progress`."""
+    make_reward("ttr", task, value)  # rejects a value that does not belong to the task
     return make_environment(
         task, rate, lambda environment: TimeToReachReward(environment, value, per_second=PER_SECOND)
     )
 
 
 def make_rewarded(reward: Reward, rate: int | None = None) -> Environment:
-    """Return the environment of the reward's task that pays it, at the physics rate `rate` [Hz] or the task's own."""
+    """Return the environment of the reward's task with that reward, at the physics rate `rate` [Hz] or the task's."""
     return make_environment(reward.task, rate, lambda environment: RewardWrapper(environment, reward))
 
 
 _FIRST = (PROGRESS, "ttr", "sparse", "distance_10")
-"""Rewards that are learnt first, in case time runs out."""
+"""Rewards to train first, in case time runs out."""
 
 
 @dataclass(frozen=True)
 class RewardRun(SimulatedRun):
-    """A run with an algorithm and a reward.
+    """Training run with one algorithm and one reward.
 
     Attributes:
         task_name: Name of the task, or its file.
         algorithm: One of `ctrl_rl_learning.sb3.algorithm_names.ALGORITHMS`.
         reward: One of `TRAINING_REWARDS`.
-        seed: Seed of everything random.
+        seed: Random seed.
         grid: File of the task's time-to-reach function, for "ttr" and "ttr_progress".
-        engine: "planar" to learn in a fleet where the task fits one, or "auto" for one robot at a time in PyBullet.
+        engine: "planar" to train in a fleet if the task supports it, or "auto" for one robot at a time in PyBullet.
     """
 
     task_name: str
@@ -116,12 +116,12 @@ class RewardRun(SimulatedRun):
 
     @property
     def task(self) -> NavigationTask:
-        """The task."""
+        """Task of the run."""
         return load_navigation_task(self.task_name)
 
     @property
     def description(self) -> dict[str, Any]:
-        """Description of the run in its result."""
+        """Description of the run for its result."""
         value = _value(self.grid)
         return {
             "task": self.task.name,
@@ -134,17 +134,17 @@ class RewardRun(SimulatedRun):
 
     @property
     def in_fleet(self) -> bool:
-        """Whether it learns in a fleet."""
+        """Whether the run trains in a fleet."""
         return self.engine == "planar" and fits_fleet(self.task)
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the task's environment that pays the reward."""
+        """Return the task's environment with the reward of the run."""
         if self.reward == PROGRESS:
             return make_progress(self.task, self._time_to_reach(), rate)
         return make_rewarded(make_reward(self.reward, self.task, _value(self.grid)), rate)
 
     def fleet_reward(self, robots: int) -> FleetReward:
-        """Return what the reward pays a fleet of so many robots."""
+        """Return the reward for a fleet of `robots` robots."""
         if self.reward == PROGRESS:
             return TimeToReach(self._time_to_reach()).for_robots(robots)
         return StateReward(make_reward(self.reward, self.task, _value(self.grid)))
@@ -156,7 +156,7 @@ class RewardRun(SimulatedRun):
         return value
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples."""
+        """Return the untrained algorithm with its environments, for `samples` samples."""
         return make_algorithm(self.algorithm, self.environments(self.algorithm), self.seed, samples)
 
 
@@ -168,7 +168,7 @@ def reward_runs(
     grid: Path | None = None,
     engine: str = "planar",
 ) -> list[RewardRun]:
-    """Return all runs of a task, those that matter most first."""
+    """Return all runs of a task, the most important first."""
     ordered = sorted(rewards, key=lambda reward: _FIRST.index(reward) if reward in _FIRST else len(_FIRST))
     return [
         RewardRun(task_name, algorithm, reward, seed, grid if reward in ("ttr", PROGRESS) else None, engine)

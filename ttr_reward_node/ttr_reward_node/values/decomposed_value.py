@@ -1,4 +1,4 @@
-"""The maximum of several value grids over parts of the state, with the interface of a `ValueGrid`, and its file."""
+"""Maximum of several value grids over parts of the state, with the interface of a `ValueGrid`, and its file."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class DecomposedValue:
     """phi(x) >= max over the subsystems of phi_i(x_i): a lower bound of the time to reach.
 
     Attributes:
-        grids: Value grids of the subsystems; their axes are named after the states that they keep.
+        grids: Value grids of the subsystems; their axes have the names of the kept states.
         axes: Axes of the whole state, in order.
         name: Name of the decomposition.
-        free: for each subsystem, the states and controls that it treats as its own to choose.
+        free: For each subsystem, the states and controls that it chooses freely.
 
     Raises:
-        GridError: a grid has an axis that the whole lacks.
+        GridError: A grid has an axis that the whole state lacks.
     """
 
     grids: tuple[ValueGrid, ...]
@@ -97,16 +97,16 @@ class DecomposedValue:
         return hashlib.sha256(self._encode()).hexdigest()
 
     def value(self, states: ArrayLike) -> Array:
-        """Values (...) at states (..., n) [s]; NaN outside the domain, +inf where a part cannot reach its target."""
+        """Return values (...) at states (..., n) [s]; NaN outside the domain, +inf if a part cannot reach its goal."""
         return self._values(np.asarray(states, dtype=np.float64)).max(axis=0)
 
     def value_and_gradient(self, states: ArrayLike) -> tuple[Array, Array]:
-        """Values (...) and gradients (..., n) [s per unit of the axis]; the gradient is that of the largest part."""
+        """Return values (...) and gradients (..., n) [s per unit of the axis] of the largest part."""
         x = np.asarray(states, dtype=np.float64)
         value, gradient = np.full(x.shape[:-1], -np.inf), np.zeros(x.shape)
         for grid, columns in zip(self.grids, self._columns, strict=True):
             part, slope = grid.value_and_gradient(x[..., columns])
-            larger = ~(part <= value)  # NaN wins, and stays
+            larger = ~(part <= value)  # NaN takes precedence
             larger &= ~np.isnan(value)
             value = np.where(larger, part, value)
             whole = np.zeros(x.shape)
@@ -117,11 +117,11 @@ class DecomposedValue:
         return value, gradient
 
     def at(self, state: Array) -> float:
-        """Value at one state (n,), quickly; NaN outside the domain."""
+        """Return the value at one state (n,), optimised for speed; NaN outside the domain."""
         return self._largest_at(state)[0]
 
     def value_and_gradient_at(self, state: Array) -> tuple[float, Array]:
-        """Value and gradient (n,) at one state (n,), quickly; the gradient is that of the largest part."""
+        """Return value and gradient (n,) of the largest part at one state (n,), optimised for speed."""
         value, largest = self._largest_at(state)
         gradient = np.full(len(self.axes), np.nan)
         if math.isfinite(value):
@@ -131,19 +131,19 @@ class DecomposedValue:
         return value, gradient
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write all grids as one safetensors file, whole or not at all.
+        """Write all grids to one safetensors file, atomically.
 
         Raises:
-            GridError: the file exists and `overwrite` is false, or it cannot be written.
+            GridError: The file exists and `overwrite` is false, or it cannot be written.
         """
         write_grid_file(Path(path), self._encode(), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read and check a file that `save` wrote.
+        """Read and check a file written by `save`.
 
         Raises:
-            GridError: The file is missing or damaged, or holds something else.
+            GridError: The file is missing or damaged, or has other contents.
         """
         with raise_as(GridError, path):
             header, tensors, _ = read_tensors(path, HEADER_KEY, largest=None, finite=False)
@@ -179,9 +179,9 @@ class DecomposedValue:
         return encode_tensors({f"values_{i}": grid.values for i, grid in enumerate(self.grids)}, HEADER_KEY, header)
 
     def _largest_at(self, state: Array) -> tuple[float, int]:
-        """Value at one state (n,), and which part it is of."""
+        """Return the value at one state (n,), and the index of the part that attains it."""
         parts = [grid.at(state[columns]) for grid, columns in zip(self.grids, self._columns, strict=True)]
-        # NaN wins: numpy's argmax takes the first of them
+        # NaN takes precedence: NumPy's argmax returns the first one.
         largest = int(np.argmax(parts))
         return parts[largest], largest
 
@@ -194,7 +194,7 @@ class DecomposedValue:
 
     @cached_property
     def _columns(self) -> tuple[Sequence[int], ...]:
-        """For each grid, where its states are in the whole's."""
+        """For each grid, the indices of its states in the whole state."""
         return tuple([self.state_names.index(axis.name) for axis in grid.axes] for grid in self.grids)
 
 

@@ -1,4 +1,4 @@
-"""Checks of solutions: driving by them, exact references, convergence, cost."""
+"""Verification of solutions: roll-outs, exact references, convergence, cost."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Check of a time to reach by driving: the greedy policy should arrive, and take the predicted time.
+"""Verification of a time-to-reach function by driving: the greedy policy should arrive in the predicted time.
 
 result, _ = check_value(load_value("car_ttr.safetensors"), load_navigation_task("car_ttr"))
 result["reached"], result["ratio_median"]
@@ -25,9 +25,9 @@ from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.verification.roll_out import RollOuts, roll_out
 
 _FEW = 0.02
-"""Fraction of the roll-outs that may collide without advice."""
+"""Fraction of colliding roll-outs above which advice is given."""
 _MOST_DRAWS = 1000
-"""Random states drawn for each that is wanted, before it gives up."""
+"""Maximum number of random states drawn per start state."""
 
 
 def check_task(
@@ -40,21 +40,22 @@ def check_task(
     method: str = "semi_lagrangian",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Solve a task, drive from random states by its value function, and compare the executed with the predicted time.
+    """Solve a task, drive from random states by its value function, and compare executed and predicted times.
 
     Args:
-        task: Task with a grid, of a system whose controls need no finer steps than a cell (a car).
-        obstacles: Whether the task's walls and obstacles are there.
-        margin: Distance by which the solver widens obstacles [m]; half a cell unless given. Shortest paths graze
-            corners, and a path between nodes is known to a part of a cell: without a margin a quarter of the roll-outs
+        task: Task with a grid, for a system whose controls need no finer steps than a cell (a car).
+        obstacles: Whether to include the task's walls and obstacles.
+        margin: Distance by which the solver inflates obstacles [m]; default: half a cell. Shortest paths graze corners,
+            and paths between nodes are known only to a fraction of a cell: without a margin a quarter of the roll-outs
             touch a corner. Collisions are with the true obstacles.
         states: Number of random start states.
-        seed: Seed of the random start states.
+        seed: Random seed for the start states.
         method: Name of the solver, one of `solver.METHODS`.
         progress: Function called after each sweep with its number and the largest change [s].
 
     Returns:
-        Figures for JSON: fractions of 1, times in s; `ratio_...` is executed over predicted time of those that arrived.
+        Figures for JSON: fractions of 1, times in s; `ratio_...` is executed / predicted time of the roll-outs that
+            arrived.
     """
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
@@ -82,22 +83,22 @@ def check_task(
 def check_value(
     value: ValueFunction, task: NavigationTask, *, width: float | None = None, states: int = 1000, seed: int = 0
 ) -> tuple[dict[str, float], TimeToReachProblem]:
-    """Drive from random states by a value function of a task, in the task's world, and return figures and problem.
+    """Drive from random states by a task's value function, in the task's world; return figures and problem.
 
-    The problem has the disturbances of the function's notes; one that they hold, such as a steady current, acts in the
-    drive. Figures are those of `check_task`.
+    The problem has the disturbances in the function's notes; a constant one, such as a steady current, acts during the
+    drive. The figures are those of `check_task`.
 
     Args:
         value: Time-to-reach function to check.
-        task: Task that the function was made for.
+        task: Task of the function.
         width: Width of the task's corridor [m], None for its own.
         states: Number of random start states.
-        seed: Seed of the random start states.
+        seed: Random seed for the start states.
 
     Raises:
-        ValueFunctionError: the function does not belong to the task.
-        TaskError: the width does not suit the task.
-        TimeToReachError: the function has no state to start from.
+        ValueFunctionError: The function does not belong to the task.
+        TaskError: The width does not fit the task.
+        TimeToReachError: The function has no state to start from.
     """
     check_function(value, task, KIND)
     problem = problem_from_task(
@@ -107,7 +108,7 @@ def check_value(
         width=width,
         disturbances=disturbances_from_notes(value.grids[0].notes),
     )
-    # A system without positions has no walls either.
+    # A system without positions has no walls.
     world = None if problem.clearance is None else task.build_world(width)
     starts = random_starts(value, problem, states, seed, world=world)
     return summary(roll_out(value, problem, starts, world=world)), problem
@@ -116,10 +117,10 @@ def check_value(
 def random_starts(
     value: ValueFunction, problem: TimeToReachProblem, count: int, seed: int = 0, *, world: World | None = None
 ) -> NDArray[np.float64]:
-    """Draw random states (count, n), outside the target and the world's obstacles, from which it can be reached.
+    """Draw random states (count, n) outside the target and the world's obstacles that can reach the target.
 
     Raises:
-        TimeToReachError: there are hardly any.
+        TimeToReachError: There are too few such states.
     """
     plane = position_indices(problem.system.state_names)
     random = np.random.default_rng(seed)
@@ -142,7 +143,7 @@ def random_starts(
 
 
 def as_line(figures: Mapping[str, float]) -> str:
-    """Return the figures of roll-outs as one line of text."""
+    """Format the figures of roll-outs as one line of text."""
     return (
         f"reached {100 * figures['reached']:5.1f} %  collided {100 * figures['collided']:4.1f} %  executed/predicted "
         f"median {figures['ratio_median']:.4f}, 95 % {figures['ratio_p95']:.4f}"
@@ -150,7 +151,7 @@ def as_line(figures: Mapping[str, float]) -> str:
 
 
 def advice(figures: Mapping[str, float], problem: TimeToReachProblem, radius: float) -> str:
-    """Return why roll-outs collide and what to do about it; empty where they hardly do, or with a margin.
+    """Return why roll-outs collide and a remedy; empty if few collide, or if there is a margin.
 
     Args:
         figures: Figures of the roll-outs, from `check_value`.
@@ -169,7 +170,7 @@ def advice(figures: Mapping[str, float], problem: TimeToReachProblem, radius: fl
 
 
 def summary(outcome: RollOuts) -> dict[str, float]:
-    """Return the figures of roll-outs: how they ended, and quantiles of the executed over the predicted time."""
+    """Return the figures of roll-outs: outcomes, and quantiles of executed / predicted time."""
     ratio = outcome.ratio
     low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95)) if len(ratio) else (np.nan,) * 3
     return {

@@ -18,22 +18,22 @@ from ttr_reward_node.solvers.solver import METHODS, solve
 from ttr_reward_node.verification.exact_times import reference
 
 COUNTS = ((26, 26, 18), (51, 51, 36), (76, 76, 54), (101, 101, 72), (151, 151, 108))
-"""Grids of the car, each with the same shape of cells."""
+"""Grids of the car with the same aspect ratio of the cells."""
 
 Progress = Callable[[str, int, float], None]
-"""Called after each sweep with what is being solved, the sweep's number and the largest change [s]."""
+"""Function called after each sweep with the name of the case, the sweep's number and the largest change [s]."""
 
 
 def measure_errors(value: NDArray[np.float64], times: NDArray[np.float64]) -> dict[str, float]:
-    """Return figures of a value function's errors at states whose exact time to reach is known.
+    """Return error figures of a value function at states with known exact times to reach.
 
     Args:
-        value: Values at the states (N,) [s]; not finite where it holds them to be unreachable.
+        value: Values at the states (N,) [s]; not finite if marked unreachable.
         times: Exact times (N,) [s].
 
     Returns:
         `median_s`, `mean_s`, `p95_s` and `mean_relative` of the absolute error, and `bias_s`, the median of the signed
-        one, where there is a value outside the target; `missed`, the fraction of states held to be unreachable.
+        error, over states outside the target with a value; `missed`, the fraction of states marked unreachable.
     """
     there = np.isfinite(value) & np.isfinite(times) & (times > 0.0)
     error = value[there] - times[there]
@@ -57,19 +57,21 @@ def convergence_table(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Solve a Dubins car's task, without its obstacles, on finer and finer grids with each method.
+    """Solve a Dubins car's task without obstacles on successively finer grids with each method.
 
     Args:
         task: Task of a Dubins car with a box as its goal.
-        counts: nodes of each grid, the finest last.
+        counts: Nodes of each grid, the finest last.
         methods: Names of the solvers to compare.
-        states: Number of random states to compare at.
-        seed: Seed of the random states.
-        progress: Function called after each solution with its name.
+        states: Number of random states for the comparison.
+        seed: Random seed for the states.
+        progress: Function called after each sweep with the solver's name, the sweep's number and the largest change
+            [s].
 
     Returns:
-        Rows for JSON: method, counts, points, sweeps, converged, CPU seconds, errors against the exact times, and as
-        `median_to_best_s`, `mean_to_best_s` the difference to the semi-Lagrangian solution on the finest grid.
+        Rows for JSON: method, counts, points, sweeps, converged, CPU seconds, errors against the exact times, and
+            `median_to_best_s` and `mean_to_best_s`, the differences from the semi-Lagrangian solution on the finest
+            grid.
     """
     coarsest = replace(problem_from_task(task, counts=counts[0]), clearance=None)
     exact = reference(coarsest, states, seed)
@@ -105,7 +107,7 @@ def convergence_table(
 
 
 def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the rows as a table of text."""
+    """Format the rows as a text table."""
     names = f"{'sweeps':>7} {'median':>9} {'mean':>9} {'relative':>9} {'to best':>9}"
     lines = [f"{'method':<16} {'nodes':>15} {'CPU':>8} {names}"]
     for row in rows:

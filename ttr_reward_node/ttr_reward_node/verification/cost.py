@@ -1,4 +1,4 @@
-"""Cost of a solution as the grid grows: systems of thesis Table 3.1, one to six dimensions, points and seconds.
+"""Solution cost as the grid grows: systems of thesis Table 3.1 with one to six dimensions, points and seconds.
 
 rows = measure_cost()
 print(as_table(rows))
@@ -21,7 +21,7 @@ from ttr_reward_node.solvers.decomposition import PLANAR_QUADROTOR_4D, PLANAR_QU
 from ttr_reward_node.solvers.solver import memory_needed, solve
 
 Progress = Callable[[str, int], None]
-"""Called before each solution with what is being solved and its number of points."""
+"""Function called before each solution with the name of the case and its number of points."""
 
 SIZES = (1e3, 1e4, 1e5, 1e6)
 """Approximate numbers of grid points of `measure_cost`."""
@@ -29,9 +29,9 @@ SIZES = (1e3, 1e4, 1e5, 1e6)
 
 @dataclass(frozen=True)
 class Case:
-    """A system with its domain and target; `shares`: counts of the axes, relative to one another.
+    """System with its domain and target; `shares` are relative node counts of the axes.
 
-    `piece` is a decomposition and which of its subsystems; `most` is how many points are worth the time.
+    `piece` is a decomposition and the index of one of its subsystems; `most` is the maximum number of points.
     """
 
     system: str
@@ -95,12 +95,12 @@ CASES = {
         (1.4, 1.0, 1.4, 0.9, 0.9, 0.9),
     ),
 }  # fmt: skip
-"""All models of thesis Table 3.1, and pieces of the planar quadrotor for one, two and four dimensions."""
+"""All models of thesis Table 3.1, and subsystems of the planar quadrotor with one, two and four dimensions."""
 
 
 @cache
 def make_problem(name: str, points: float) -> TimeToReachProblem:
-    """Return the case's problem on a grid of about so many points; on each axis as many as a problem needs at least."""
+    """Return the case's problem on a grid of about `points` points, with at least the minimum count on each axis."""
     case = CASES[name]
     system = make_system(case.system)
     if case.piece is None:
@@ -132,13 +132,13 @@ def measure_cost(
     *,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Solve each case on each size of grid.
+    """Solve each case on each grid size.
 
     Args:
         names: Names of systems, keys of `CASES`.
-        sizes: numbers of points, about. Cases end at their `most`.
+        sizes: Approximate numbers of points. Cases end at their `most`.
         methods: Names of the solvers, of `solver.METHODS`.
-        progress: Function called after each solution with its name.
+        progress: Function called before each solution with its name and number of points.
 
     Returns:
         Rows for JSON: system, dimension, method, counts, points, cpu_s, sweeps, converged, memory_bytes.
@@ -146,7 +146,7 @@ def measure_cost(
     rows = []
     for name in names:
         for method in methods:
-            # Once on a small grid, to compile.
+            # Solve once on a small grid to compile the kernels.
             solve(make_problem(name, min(sizes)), method, max_sweeps=1, certify=False)
             for size in sizes:
                 problem = make_problem(name, size)
@@ -173,14 +173,14 @@ def measure_cost(
 
 
 def exponent(rows: Sequence[Mapping[str, Any]], least: float = 9e3) -> float:
-    """Return k of CPU seconds ~ points^k, fitted to the grids of one system with `least` points or more."""
+    """Return k of CPU seconds ~ points^k, fitted to the grids of one system with at least `least` points."""
     used = [row for row in rows if row["points"] >= least]
     points, seconds = (np.log([row[key] for row in used]) for key in ("points", "cpu_s"))
     return float(np.polyfit(points, seconds, 1)[0])
 
 
 def as_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rows as a table of text."""
+    """Format the rows as a text table."""
     lines = [f"{'system':<32} {'method':<16} {'points':>11} {'CPU':>10} {'sweeps':>7} {'per point and sweep':>20}"]
     for row in rows:
         each = 1e9 * row["cpu_s"] / row["points"] / row["sweeps"]

@@ -1,12 +1,13 @@
-"""Error of a decomposition: its lower bound against the solution of the whole system, on the same nodes.
+"""Error of a decomposition: its lower bound compared with the solution of the whole system on the same nodes.
 
     problem = problem_from_task("quad_ttr", counts=COARSE_QUADROTOR)
     gaps = measure_decomposition_errors(problem, DECOMPOSITIONS["planar_quadrotor"].values())
     gaps[0].summary()
 
-The whole is solved once, on a grid as fine as six dimensions allow; each decomposition is solved on the same axes. Both
-solutions carry the error of that grid, the whole's the larger one: the difference is that of the decomposition and of
-the grid together, and shrinks as the grid is refined (`docs/results/ttr_gap.json` has three grids for that reason).
+The whole is solved once, on the finest feasible six-dimensional grid; each decomposition is solved on the same axes.
+Both solutions contain the error of that grid, the whole the larger one: the difference combines the errors of the
+decomposition and of the grid, and shrinks as the grid is refined (which is why `docs/results/ttr_gap.json` has three
+grids).
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ from ttr_reward_node.solvers.solver import solve
 from ttr_reward_node.solvers.steps import crossing_time
 
 COARSE_QUADROTOR = {"x": 15, "v_x": 9, "z": 15, "v_z": 9, "psi": 15, "omega": 5}
-"""A grid on which the whole quadrotor takes half a minute: 1.4 million nodes."""
+"""Grid on which solving the whole quadrotor takes half a minute: 1.4 million nodes."""
 
 Progress = Callable[[str, int, float], None]
-"""Called after each sweep with what is being solved, the sweep's number and the largest change [s]."""
+"""Function called after each sweep with the name of the solution, the sweep's number and the largest change [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class DecompositionErrors:
-    """Time to reach of the whole, and its lower bound from one decomposition.
+    """Time to reach of the whole system, and the lower bound from one decomposition.
 
     Attributes:
         problem: Problem of the whole system.
         decomposition: Name of the decomposition.
-        whole, bound: Times at the nodes, shape of the grid [s]; +inf where unreachable.
-        tolerance: Largest difference that counts as none [s]: a tenth of the time to cross a cell.
+        whole, bound: Times at the nodes, shape of the grid [s]; +inf if unreachable.
+        tolerance: Largest difference that counts as equal [s]: a tenth of the time to cross a cell.
         whole_seconds, parts_seconds: Processor times of the whole and of its parts [s].
         converged: Whether all solutions converged.
     """
@@ -102,12 +103,12 @@ def measure_decomposition_errors(
     Args:
         problem: Problem of the whole system.
         decompositions: Decompositions to compare with the whole.
-        method: Name of the solver of all solutions, one of `solver.METHODS`.
+        method: Name of the solver for all solutions, one of `solver.METHODS`.
         progress: Function called after each sweep with the name of the solution, the sweep's number and the largest
             change [s].
 
     Raises:
-        TimeToReachError: The whole does not fit into memory, or a decomposition does not suit the problem.
+        TimeToReachError: The whole does not fit into memory, or a decomposition does not fit the problem.
     """
 
     def progress_of(name: str) -> Callable[[int, float], None] | None:
@@ -133,7 +134,7 @@ def measure_decomposition_errors(
 
 
 def at_nodes(problem: TimeToReachProblem, parts: Sequence[Solution]) -> NDArray[np.float32]:
-    """Return the maximum of the parts' solutions at the nodes of the whole, whose axes they share."""
+    """Return the maximum of the parts' solutions at the nodes of the whole, on the same axes."""
     names = problem.system.state_names
     bound = np.full(problem.counts, -np.inf, dtype=np.float32)
     for part in parts:
@@ -144,7 +145,7 @@ def at_nodes(problem: TimeToReachProblem, parts: Sequence[Solution]) -> NDArray[
 
 
 def as_table(gaps: Sequence[DecompositionErrors]) -> str:
-    """Return the summaries as a table of text, one line each."""
+    """Format the summaries as a text table, one line each."""
     lines = [
         f"{'decomposition':<14}{'obstacles':>10}{'nodes':>11}{'mean':>9}{'median':>9}{'p95':>9}{'relative':>10}"
         f"{'bound':>8}{'equal':>8}{'CPU whole':>11}{'CPU parts':>11}"

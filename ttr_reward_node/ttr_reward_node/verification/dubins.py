@@ -1,8 +1,8 @@
 """Shortest Dubins paths (Dubins 1957; words as in Shkel, Lumelsky 2001) to a box of poses.
 
-The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] are times [s]. The distance to a box is the least
-over the words that lead to it, searched in two ways: over each word's two free numbers, and over the poses that it may
-end at; first over a lattice of these, then by a compass search from the best few.
+The car drives at 1 m/s and turns at up to 1 rad/s, so lengths [m] equal times [s]. The distance to a box is the minimum
+over the words that lead to it. It is searched in two ways: over the two free parameters of each word, and over the end
+poses in the box; first on a lattice, then by a compass search from the best few.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from ttr_reward_node.verification.dubins_words import TURNS, end_of, positive, w
 
 Array = NDArray[np.float64]
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]], dtype=np.float64)
-_GRAZE = 1e-9  # rounding: a box that is missed by less is met
-_HEADINGS, _AIMS = 9, 40  # headings on arrival, and first turns, that are tried of a word with a straight piece
-_LATTICE, _ENDS = 7, 3  # poses a side of the box that a word may end at, and how many are refined
-_TURNS = 24  # first and second turns that are tried of a word of three
-_STARTS = 2  # that are refined, for each word
-_THREE_TURNS = 6.0  # how far three turns lead at most
+_GRAZE = 1e-9  # rounding: a box missed by less counts as met
+_HEADINGS, _AIMS = 9, 40  # arrival headings and first turns tried per word with a straight segment
+_LATTICE, _ENDS = 7, 3  # end poses per side of the box, and number of them to refine
+_TURNS = 24  # number of first and of second turns tried per word of three turns
+_STARTS = 2  # number of starts to refine per word
+_THREE_TURNS = 6.0  # largest distance covered by three turns
 
 
 @cached_njit
 def _reach(x: float, y: float, direction: float, box: Array) -> float:
-    """Return how far it is from a point in a direction to the box's positions; inf where the ray misses them."""
+    """Return the distance from a point along a direction to the box's positions; inf if the ray misses them."""
     near, far = 0.0, math.inf
     for k in range(2):
         start, slope = (x, math.cos(direction)) if k == 0 else (y, math.sin(direction))
@@ -42,7 +42,7 @@ def _reach(x: float, y: float, direction: float, box: Array) -> float:
 
 @cached_njit
 def _base(kind: int, pose: Array, end: float, direction: float) -> tuple[float, float]:
-    """Return where the two turns of a word with a straight piece lead without that piece, from pose to heading end."""
+    """Return the displacement of the two turns of a word without its straight segment, from `pose` to heading `end`."""
     x, y, a = pose
     one, two = TURNS[kind, 0], TURNS[kind, 2]
     x += one * (math.sin(direction) - math.sin(a)) + two * (math.sin(end) - math.sin(direction))
@@ -52,9 +52,9 @@ def _base(kind: int, pose: Array, end: float, direction: float) -> tuple[float, 
 
 @cached_njit
 def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> tuple[float, float]:
-    """Return the segments p and q of a word with a straight piece that arrives with heading `end` after a turn by t.
+    """Return segments p and q of a word with a straight segment, for first turn t and arrival heading `end`.
 
-    p is inf where the straight piece misses the box.
+    p is inf if the straight segment misses the box.
     """
     a = pose[2]
     direction = a + TURNS[kind, 0] * t
@@ -65,11 +65,11 @@ def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> 
 
 @cached_njit
 def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
-    """Return the i-th of the first turns worth trying: at corners, middle and sides of the box, then evenly spread."""
+    """Return the i-th candidate for the first turn: towards corners, centre and sides of the box, then even spacing."""
     a, turn = pose[2], TURNS[kind, 0]
     if i == 0:
         return 0.0
-    if i == 1:  # as far as the last turn needs to be none
+    if i == 1:  # so far that no last turn is needed
         return positive(turn * (end - a))
     if i < 12:
         target, other = divmod(i - 2, 2)
@@ -77,7 +77,7 @@ def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
             cx, cy = 0.5 * (box[0, 0] + box[0, 1]), 0.5 * (box[1, 0] + box[1, 1])
         else:
             cx, cy = box[0, target % 2], box[1, target // 2]
-        # Without what of the turns' displacement depends on the straight piece's direction.
+        # Exclude the part of the turns' displacement that depends on the direction of the straight segment.
         opposite = TURNS[kind, 2] != turn
         x = pose[0] - turn * math.sin(a) + TURNS[kind, 2] * math.sin(end)
         y = pose[1] + turn * math.cos(a) - TURNS[kind, 2] * math.cos(end)
@@ -93,7 +93,7 @@ def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
 
 @cached_njit
 def _arrive(kind: int, pose: Array, t: float, p: float, box: Array) -> float:
-    """Return the last segment q of a word of three turns until it is in the box; inf where it misses it."""
+    """Return the last segment q of a word of three turns until it enters the box; inf if it misses the box."""
     x, y, a = end_of(kind, t, p, 0.0, pose[0], pose[1], pose[2], t + p)
     turn = TURNS[kind, 2]
     cx, cy = x - turn * math.sin(a), y + turn * math.cos(a)
@@ -121,7 +121,7 @@ def _arrive(kind: int, pose: Array, t: float, p: float, box: Array) -> float:
 
 @cached_njit
 def _inside(x: float, y: float, a: float, box: Array) -> bool:
-    """Tell whether a pose lies in the box, to rounding."""
+    """Whether a pose lies in the box, up to rounding."""
     turned = (a - box[2, 0] + _GRAZE) % (2.0 * math.pi)
     at = box[0, 0] - _GRAZE <= x <= box[0, 1] + _GRAZE and box[1, 0] - _GRAZE <= y <= box[1, 1] + _GRAZE
     return at and turned <= box[2, 1] - box[2, 0] + 2.0 * _GRAZE
@@ -129,9 +129,10 @@ def _inside(x: float, y: float, a: float, box: Array) -> bool:
 
 @cached_njit
 def _path(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
-    """Return the segments of a word by its two free numbers; inf where it does not lead to the box.
+    """Return the segments of a word for its two free parameters; inf if it does not lead to the box.
 
-    They are, with a straight piece, the heading on arrival and the first turn; of three turns the first two.
+    The parameters are the arrival heading and the first turn of a word with a straight segment, or the first two of
+    three turns.
     """
     if kind < 4:
         if not box[2, 0] <= one <= box[2, 1]:
@@ -143,7 +144,7 @@ def _path(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[f
 
 @cached_njit
 def _refine(kind: int, pose: Array, one: float, two: float, box: Array) -> tuple[float, float, float]:
-    """Improve a word by its two free numbers, one at a time and both together, and return its segments."""
+    """Optimise the two free parameters of a word, one at a time and jointly, and return its segments."""
     t, p, q = _path(kind, pose, one, two, box)
     step = 0.1
     while step > 1e-7:
@@ -172,7 +173,7 @@ def _segments(kind: int, pose: Array, end: Array) -> tuple[float, float, float]:
 
 @cached_njit
 def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
-    """Return the segments of a word to the best of the box's poses: its corners and edges are narrow ends."""
+    """Return the segments of a word to the best pose in the box, including its corners and edges."""
     size = box[:, 1] - box[:, 0]
     found = np.full(_LATTICE**3, math.inf)
     end = np.empty(3)
@@ -211,13 +212,13 @@ def _between(kind: int, pose: Array, box: Array) -> tuple[float, float, float]:
 
 @cached_njit
 def to_box(states: Array, box: Array) -> tuple[Array, Array]:
-    """Find the shortest paths from states (N, 3) to box (3, 2).
+    """Find the shortest paths from states (N, 3) to the box (3, 2).
 
     Returns lengths (N,) and the paths (N, 4): word, and its three segments.
 
-    Among the poses of the box the length jumps by a whole turn where a turn becomes none, so a word is searched in its
-    own numbers, too: with the first turn and the heading on arrival given (or, of three turns, the first two) the rest
-    follows. That search in turn gets stuck where paths end at an edge of the box.
+    Over the poses of the box, the length jumps by a full turn where a turn vanishes. So each word is also searched over
+    its own parameters: given the first turn and the arrival heading (or the first two of three turns), the rest
+    follows. That search, in turn, gets stuck where paths end at an edge of the box.
     """
     lengths, paths = np.empty(len(states)), np.zeros((len(states), 4))
     best, firsts, seconds = np.empty(_STARTS), np.empty(_STARTS), np.empty(_STARTS)
@@ -229,7 +230,7 @@ def to_box(states: Array, box: Array) -> tuple[Array, Array]:
             continue
         lengths[n] = math.inf
         away = math.hypot(max(box[0, 0] - x, 0.0, x - box[0, 1]), max(box[1, 0] - y, 0.0, y - box[1, 1]))
-        # The heading that it has already, where it may arrive with it.
+        # Also try the current heading, clipped to the arrival headings.
         own = box[2, 0] + min((a - box[2, 0]) % (2.0 * math.pi), box[2, 1] - box[2, 0])
         for kind in range(6):
             if kind >= 4 and away > _THREE_TURNS:
@@ -262,7 +263,7 @@ def to_box(states: Array, box: Array) -> tuple[Array, Array]:
 
 @cached_njit
 def stays_in(states: Array, paths: Array, low: float, high: float) -> NDArray[np.bool_]:
-    """Tell whether the path (N, 4) of `to_box` from each state keeps x and y in [low, high], (N,)."""
+    """Return whether the path (N, 4) of `to_box` from each state keeps x and y in [low, high], shape (N,)."""
     out = np.ones(len(states), np.bool_)
     for n in range(len(states)):
         x, y, a = states[n]

@@ -13,14 +13,14 @@ TURNS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [
 
 @cached_njit
 def positive(angle: float) -> float:
-    """Return an angle in [0, 2 pi); a whole turn to rounding is none."""
+    """Wrap an angle to [0, 2 pi); a full turn up to rounding becomes 0."""
     angle = angle % (2 * math.pi)
     return 0.0 if angle > 2 * math.pi - 1e-12 else angle
 
 
 @cached_njit
 def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, float]:
-    """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf where it does not exist."""
+    """Return segments (t, p, q) of one word from the origin to (x, y, angle); inf if it does not exist."""
     none = (math.inf, math.inf, math.inf)
     d = math.hypot(x, y)
     direction = math.atan2(y, x)
@@ -61,7 +61,7 @@ def word(kind: int, x: float, y: float, angle: float) -> tuple[float, float, flo
 def end_of(
     kind: int, t: float, p: float, q: float, x: float, y: float, angle: float, s: float
 ) -> tuple[float, float, float]:
-    """Return the pose after s metres of the word with these segments."""
+    """Return the pose after s metres of the word with segments (t, p, q)."""
     lengths = (t, p, q)
     for i in range(3):
         step = min(s, lengths[i])

@@ -1,4 +1,4 @@
-"""States of the Dubins car with their exact times to reach: a reference that shares nothing with the solvers."""
+"""States of the Dubins car with exact times to reach: a reference independent of the solvers."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class Reference:
 
 
 def reference(problem: TimeToReachProblem, count: int = 5000, seed: int = 0) -> Reference:
-    """Draw random states outside the target from which the shortest path stays on the grid, with their exact times.
+    """Draw random states outside the target whose shortest path stays on the grid, with their exact times.
 
     Args:
-        problem: a Dubins car at 1 m/s and up to 1 rad/s, a box as the target; obstacles do not count.
+        problem: Dubins car at 1 m/s and up to 1 rad/s with a box as the target; obstacles are ignored.
         count: Number of random states.
-        seed: Seed of the random states.
+        seed: Random seed for the states.
 
     Raises:
-        TimeToReachError: another system or target.
+        TimeToReachError: Another system or target.
     """
     names, target = problem.system.state_names, problem.target.intervals
     bounds = problem.system.control_bounds.T.tolist()

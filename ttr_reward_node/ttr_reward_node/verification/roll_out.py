@@ -1,11 +1,10 @@
-"""Roll-outs of the greedy policy of a value function: executed against predicted time.
+"""Roll-outs of the greedy policy of a value function: executed and predicted times.
 
     outcome = roll_out(solution.grid, problem, states, world=task.build_world())
     outcome.reached.mean(), np.median(outcome.ratio)
 
-The control is greedy: of a few samples, the one that leads to the least time to reach a short while ahead (the
-minimiser of thesis Eq. 3.4, by the values themselves rather than by their gradient, which is not defined where they
-jump).
+The greedy control is the sample that leads to the smallest time to reach after a short look-ahead. This is the
+minimiser of thesis Eq. 3.4, computed from values rather than from their gradient, which is undefined at jumps.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ class RollOuts:
     """Results of the roll-outs from N starts.
 
     Attributes:
-        predicted: the value at the start (N,) [s].
-        executed: time until the target (N,) [s], NaN where it was not reached.
+        predicted: Value at the start (N,) [s].
+        executed: Time until the target (N,) [s], NaN if not reached.
         reached, collided, left: Whether each roll-out reached the target, collided, or left the grid or the state's own
-            bounds (N,); none of them where it ran out of time.
-        last: the last state (N, n).
+            bounds (N,); all false if it ran out of time.
+        last: Final state (N, n).
     """
 
     predicted: Array
@@ -44,19 +43,19 @@ class RollOuts:
 
     @property
     def ratio(self) -> Array:
-        """Executed over predicted time of those that reached the target; 1 for those that began in it."""
+        """Executed / predicted time of roll-outs that reached the target; 1 for those that started in it."""
         executed, predicted = self.executed[self.reached], self.predicted[self.reached]
-        at_once = np.where(executed > 0.0, np.inf, 1.0)  # where the prediction is 0
+        at_once = np.where(executed > 0.0, np.inf, 1.0)  # for a prediction of 0
         return np.divide(executed, predicted, out=at_once, where=predicted > 0.0)
 
 
 def best_control(
     value: ValueFunction, problem: TimeToReachProblem, states: Array, controls: Array, look_ahead: float
 ) -> NDArray[np.int64]:
-    """Index of the greedy control (N,) at states (N, n), among controls (k, m)."""
+    """Return the index of the greedy control (N,) at states (N, n), among controls (k, m)."""
     chosen = np.zeros(len(states), dtype=np.int64)
     open_ = np.arange(len(states))
-    # Where every control leads into the unreachable, look less far.
+    # If every control leads to unreachable states, shorten the look-ahead.
     for reach in (look_ahead, 0.5 * look_ahead, 0.1 * look_ahead):
         ends = problem.system.step(states[open_, None], controls, dt=reach)
         times = value.value(ends)
@@ -81,19 +80,19 @@ def roll_out(
 ) -> RollOuts:
     """Simulate from states (N, n) until each has reached the target, failed, or run out of time.
 
-    The disturbance is the system's nominal one: none, or a steady one that its bounds hold.
+    The disturbance is the system's nominal one: zero, or the constant value set by its bounds.
 
     Args:
-        value: predicts and steers.
-        problem: whose system, target and domain are simulated.
-        states: where to start.
-        world: collisions are with its true walls and obstacles, not with the grid's; none where left out.
-        time_step: Time for which a control is held [s]; a fifth of the time to cross a cell unless given.
-        look_ahead: Time that the policy looks ahead [s]; one and a half times the time to cross a cell unless given.
-        patience: Multiple of the predicted time after which it gives up, beyond the time to cross ten cells.
+        value: Time-to-reach function that predicts the time and determines the control.
+        problem: Problem with the system, target and domain to simulate.
+        states: Start states.
+        world: World with the true walls and obstacles for collisions, instead of the grid's; none by default.
+        time_step: Time for which a control is held [s]; default: a fifth of the time to cross a cell.
+        look_ahead: Look-ahead of the policy [s]; default: one and a half times the time to cross a cell.
+        patience: Multiple of the predicted time after which a roll-out ends, plus the time to cross ten cells.
 
     Raises:
-        TimeToReachError: a state at which there is no finite prediction.
+        TimeToReachError: There is no finite prediction at a state.
     """
     x = problem.wrap(np.atleast_2d(np.asarray(states, dtype=np.float64)))
     predicted = value.value(x)
