@@ -141,6 +141,20 @@ def test_a_clock_that_is_off_is_named_and_log_times_go_round_it(
     assert pairs(episodes) == [(k, float(k)) for k in range(39)]
 
 
+def test_commands_of_two_nodes_in_a_fast_simulation_are_no_reset_of_a_clock(tmp_path: Path) -> None:
+    """A watchdog's zero and a driver's command, 0.7 s of simulation and less than 0.1 s of reception apart."""
+
+    def out_of_order(time: int) -> int:
+        return time + SECOND * 3 // 4 if time - START == 20 * STEP else time
+
+    bag = write(tmp_path / "bag", log=lambda time: START + (time - START) // 8, stamps={"/cmd_vel": out_of_order})
+    episodes, _ = read(bag)
+    assert len(pairs(episodes)) == 39
+    slow = write(tmp_path / "slow", stamps={"/cmd_vel": out_of_order})
+    with pytest.raises(BagError, match="the clock of /cmd_vel is set back where that of /scan is not"):
+        read(slow)
+
+
 @pytest.mark.fault
 @pytest.mark.parametrize("topics", [("/cmd_vel",), ("/scan",), ("/odom", "/cmd_vel"), ("/scan", "/odom", "/cmd_vel")])
 def test_a_stamp_of_zero_is_no_stamp(topics: tuple[str, ...], tmp_path: Path) -> None:

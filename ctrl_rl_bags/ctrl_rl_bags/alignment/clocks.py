@@ -80,9 +80,11 @@ def clock_runs(
     bases = [base.some(rows) for rows in np.split(np.arange(len(base.times)), cuts)]
     runs: list[dict[str, TimeSeries]] = [{} for _ in bases]
     late: dict[str, list[NDArray[np.float64]]] = {}
+    # In a simulation that runs at 8 times real time, publishers that are a moment apart are so 8 times.
+    fall = round(_RESET_NS * max(1.0, *(_pace(known) for known in bases)))
     for topic, series in read.items():
         by_stamp = series.stamps is not None and (clock == "header" or topic == name)
-        own = _same_resets(series, base.times[cuts])
+        own = _same_resets(series, base.times[cuts], fall)
         if by_stamp and own is None:
             raise BagError(
                 f"{bag.path}: the clock of {printable(topic)} is set back where that of {printable(name)} is not: "
@@ -223,10 +225,16 @@ def _resets(stamps: NDArray[np.int64], fall: int = _RESET_NS) -> NDArray[np.intp
     return np.flatnonzero(np.diff(stamps) < -fall) + 1
 
 
-def _same_resets(series: TimeSeries, resets: NDArray[np.int64]) -> NDArray[np.intp] | None:
-    """Match another topic's clock resets by log time to rows of this series; None if the resets differ."""
+def _same_resets(series: TimeSeries, resets: NDArray[np.int64], fall: int) -> NDArray[np.intp] | None:
+    """Match another topic's clock resets by log time to rows of this series; None if the resets differ.
+
+    Args:
+        series: Topic whose stamps may fall.
+        resets: Log times of the other topic's resets [ns].
+        fall: Fall of the stamps from which on it is a reset [ns].
+    """
     rows = np.searchsorted(series.times, resets)
-    own = _resets(series.stamps) if series.stamps is not None else np.empty(0, np.intp)
+    own = _resets(series.stamps, fall) if series.stamps is not None else np.empty(0, np.intp)
     if not len(own):
         return rows
     if not len(resets):
