@@ -22,6 +22,7 @@ from ctrl_rl_learning.offline.learners.settings import METHODS
 
 if TYPE_CHECKING:
     from ctrl_rl_learning.offline.data.transitions import Transitions
+    from ctrl_rl_learning.offline.evaluation.verdict import OfflineReport
 
 POLICY, REPORT, PAGE = "policy.safetensors", "report.json", "report.txt"
 DIFFERENCES = "differences.png"
@@ -38,9 +39,10 @@ def _share(text: str) -> float:
 class ImproveOptions(TeachOptions):
     """Make a better policy from bags, and say whether it is: reads, checks, learns, judges, and says what to record.
 
-    Learns from a part of the episodes and judges by the others, which the policy has not seen. The output folder gets
-    policy.safetensors, for `ros2 run ctrl_rl_core policy`, and the report, as text and as JSON. A call that was cut
-    off goes on where it was. Exits with 1 where the policy is not shown to be better than the bags' driver.
+    Learns from a part of the episodes; the others are held out to judge by. The output folder gets policy.safetensors,
+    for `ros2 run ctrl_rl_core policy`, and the report, as text and as JSON. A call that was cut off goes on where it
+    was. Exits with 1 where the policy is not shown to be better than the bags' driver, and with 2 where the bags show
+    other walls than the task's file.
     """
 
     task: str = ""
@@ -48,7 +50,7 @@ class ImproveOptions(TeachOptions):
     output: FolderToWrite = Path("runs/improved")
     """Folder of policy and report."""
     held_out: Annotated[float, checked(_share, "NUMBER")] = 0.25
-    """Share of the episodes to judge by."""
+    """Share of the episodes that are held out."""
     fit_updates: Positive = 3000
     """Number of updates of each fit that judges."""
     fits: Positive = 3
@@ -64,18 +66,26 @@ def _improve(options: ImproveOptions) -> int:
     from ctrl_rl_learning.offline.data.held_out import hold_out
 
     print(f"task       {task.name}: {task.about}")
+    options.output.mkdir(parents=True, exist_ok=True)
     reading = Reading(options.output / DIFFERENCES, options.output, believes_walls=True, overwrite=options.overwrite)
     task, transitions = read_bags("improve", task, replace(options, task=options.task or task.name), reading)
     to_learn, to_judge = hold_out(transitions, options.held_out, options.seed)
-    print(f"parts      {to_learn.episode_count} episodes to learn from, {to_judge.episode_count} others to judge by")
+    print(f"parts      {to_learn.episode_count} episodes to learn from, {to_judge.episode_count} held out")
     terms = _terms(options, task, to_learn)
-    options.output.mkdir(parents=True, exist_ok=True)
     actor = _kept_policy(options, terms)
     if actor is None:
         actor = teach(to_learn, task, options, {"improved": terms})
         actor.save(options.output / POLICY)
     print(f"policy     {options.output / POLICY}: {task.name}, {METHODS[options.method]}")
-    return _judged(options, task, actor, to_judge, {**terms, "fits": options.fits, "fit_updates": options.fit_updates})
+    terms |= {"fits": options.fits, "fit_updates": options.fit_updates}
+    kept = None if options.overwrite else _kept_report(options.output / REPORT, terms)
+    if kept is None:
+        report = _report(options, task, actor, transitions, to_judge)
+        objections = [f"objection  {objection.reason}" for objection in report.objections]
+        lines = [*estimate_lines(report), *objections, *verdict_lines(report)]
+        kept = {"terms": terms, "verdict": report.verdict, "better": report.better, "lines": lines}
+        atomic_write(options.output / REPORT, json.dumps(with_digest(kept)))
+    return _tell(options, kept)
 
 
 def _named_task(options: ImproveOptions) -> str:
@@ -126,23 +136,29 @@ def _kept_policy(options: ImproveOptions, terms: Mapping[str, Any]) -> Actor | N
     return actor
 
 
-def _judged(
-    options: ImproveOptions, task: NavigationTask, actor: Actor, to_judge: Transitions, terms: Mapping[str, Any]
-) -> int:
-    """Judge a policy, write the report, and print it; one of an earlier call is printed again."""
-    file = options.output / REPORT
-    kept = None if options.overwrite else _kept_report(file, terms)
-    if kept is None:
-        values = None
-        if options.value is not None:
-            from ctrl_rl_learning.offline.data.values import load_values
+def _report(
+    options: ImproveOptions, task: NavigationTask, actor: Actor, transitions: Transitions, to_judge: Transitions
+) -> OfflineReport:
+    """Return what the bags say about a policy.
 
-            values = load_values(options.value, task, options.values)
-        report = judge(to_judge, task, actor, values, updates=options.fit_updates, fits=options.fits, seed=options.seed)
-        objections = [f"objection  {objection.reason}" for objection in report.objections]
-        lines = [*estimate_lines(report), *objections, *verdict_lines(report)]
-        kept = {"terms": dict(terms), "verdict": report.verdict, "better": report.better, "lines": lines}
-        atomic_write(file, json.dumps(with_digest(kept)))
+    Roll-outs may use all episodes: their models are tried on pieces of the bags that they were not fitted to. Where the
+    bags do not bear them out, nothing tries fitted Q evaluation so, and the held-out episodes alone judge.
+    """
+    from ctrl_rl_learning.offline.data.values import load_values
+    from ctrl_rl_learning.offline.evaluation.roll_outs import can_model
+
+    values = None if options.value is None else load_values(options.value, task, options.values)
+
+    def judged(by: Transitions) -> OfflineReport:
+        return judge(by, task, actor, values, updates=options.fit_updates, fits=options.fits, seed=options.seed)
+
+    if can_model(task) and (report := judged(transitions)).by_model:
+        return report
+    return judged(to_judge)
+
+
+def _tell(options: ImproveOptions, kept: Mapping[str, Any]) -> int:
+    """Print a report, write it as text, and return the exit code."""
     text = "\n".join(kept["lines"])
     atomic_write(options.output / PAGE, f"{text}\n")
     print(text)
