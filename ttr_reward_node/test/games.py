@@ -1,4 +1,4 @@
-"""Small systems with closed forms, shared by tests."""
+"""Small systems with closed-form solutions, shared by tests."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def _plane(math, p):
 
 
 def make(equations, names, controls, disturbance):
-    """A system with controls in [-1, 1] and a disturbance within +-`disturbance` on the last state."""
+    """Return a system with controls in [-1, 1] and a disturbance within +-`disturbance` on the last state."""
     bounds = [0.0] * (len(names) - 1) + [disturbance]
     return System(
         name=equations.__name__.strip("_"),
@@ -35,21 +35,21 @@ def make(equations, names, controls, disturbance):
 
 
 def line(disturbance=0.0, count=61, centre=0.0, half=0.25):
-    """x' = u + d: phi = (|x - centre| - half) / (1 - disturbance)."""
+    """Return the problem x' = u + d, with phi = (|x - centre| - half) / (1 - disturbance)."""
     axes = (Axis("x", "m", -3.0, 3.0, count),)
     target = Region({"x": Interval(centre - half, centre + half)})
     return TimeToReachProblem(make(_line, ("x",), 1, disturbance), axes, target)
 
 
 def double_integrator(disturbance=0.0, count=81):
-    """x'' = u + d to |x| <= 1/2, at whatever speed."""
+    """Return the problem x'' = u + d with target |x| <= 1/2 at any speed."""
     axes = (Axis("x", "m", -3.0, 3.0, count), Axis("v", "m/s", -3.0, 3.0, count))
     target = Region({"x": Interval(-0.5, 0.5)})
     return TimeToReachProblem(make(_double_integrator, ("x", "v"), 1, disturbance), axes, target)
 
 
 def plane(clearance=None, count=41):
-    """x' = u, y' = w to a box at the left, with the clearance that a function of x, y gives."""
+    """Return the problem x' = u, y' = w with a box at the left; `clearance` is a function of x, y."""
     axes = tuple(Axis(name, "m", -2.0, 2.0, count) for name in "xy")
     target = Region({"x": Interval(-1.6, -1.2), "y": Interval(-0.2, 0.2)})
     obstacles = None

@@ -1,4 +1,4 @@
-"""Against exact Dubins paths, at the size and with the goal of the issue; and closed forms for smaller systems."""
+"""Accuracy against exact Dubins paths on the full grid, and against closed forms for smaller systems."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def test_both_methods_converge_to_the_same_function():
 
 @pytest.mark.parametrize("shift", [0.0, 0.013, 0.05, 0.077])
 def test_target_between_nodes_is_met_exactly(shift):
-    """The cells are 0.1 m; moving the target by a part of one moves the values by exactly that."""
+    """Shifting the target by a fraction of a cell (0.1 m) shifts the values by the same amount."""
     problem = line(centre=shift)
     x = problem.axes[0].nodes
     expected = np.maximum(np.abs(x - shift) - 0.25, 0.0)

@@ -1,8 +1,8 @@
-"""Two identical vehicles, one pursuing the other: the solver against the barrier of the game in closed form.
+"""Game of two identical vehicles: the solver against the closed-form barrier.
 
-Merz (1972), The game of two identical cars; Mitchell (2001), Games of two identical vehicles. Relative coordinates of
-the evader as the pursuer sees it: x' = -v + v cos psi + u y, y' = v sin psi - u x, psi' = d - u. The evader's speed and
-turn are the second player's, so that the disturbance multiplies functions of the state.
+Merz (1972), The game of two identical cars; Mitchell (2001), Games of two identical vehicles. Coordinates of the evader
+relative to the pursuer: x' = -v + v cos psi + u y, y' = v sin psi - u x, psi' = d - u. The evader's speed and turn rate
+belong to the second player, so the disturbance multiplies functions of the state.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ def solution():
 
 
 def test_no_more_is_captured_than_the_barrier_encloses(solution):
-    """At headings about opposite, where the two barriers meet on the grid."""
+    """Headings are about opposite, where the two barriers meet on the grid."""
     axes, values = solution.grid.axes, solution.grid.values
     points = np.stack(np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij"), axis=-1)
     assert solution.converged

@@ -1,4 +1,4 @@
-"""Certificates: silent on right times to reach, whoever made them, and one line that names the place on wrong ones."""
+"""Certificates: no doubt about correct times to reach from any solver, and a one-line warning for wrong ones."""
 
 import json
 from dataclasses import replace
@@ -21,13 +21,13 @@ from ttr_reward_node import (
 
 
 def on_grid(problem, values):
-    """A value grid of the problem with other values, which broadcast."""
+    """Return a value grid of the problem with given values, which are broadcast."""
     shaped = np.broadcast_to(np.asarray(values, dtype=np.float32), problem.counts)
     return ValueGrid(shaped, problem.axes, "time_to_reach", "custom", problem.content_digest, "semi_lagrangian", 0.0)
 
 
 def line_times(problem):
-    """x' = u + d: the time to the target's edge, against the disturbance."""
+    """Return the time to the target's edge for x' = u + d, against the disturbance."""
     low, high = problem.target.intervals["x"]
     nodes = problem.axes[0].nodes
     disturbance = problem.system.disturbance_bounds[1, 0]
@@ -35,12 +35,12 @@ def line_times(problem):
 
 
 def wall(x, y):
-    """A wall across most of the way to the target."""
+    """Return the distance to a wall that blocks most of the path to the target."""
     return np.maximum(np.abs(x) - 0.15, np.abs(y) - 1.0)
 
 
 def car(**options):
-    """The car on a grid of about half as many nodes along each axis as the task's."""
+    """Return the car's problem on a grid with about half the task's nodes along each axis."""
     return problem_from_task("car_ttr", counts=(51, 51, 36), **options)
 
 
@@ -99,7 +99,7 @@ def test_states_that_are_wrongly_called_unreachable_are_found(disturbance):
 
 
 def test_what_only_switching_reaches_is_found():
-    """A cart that swings: without an end to the times it takes some swings to the edge of the grid."""
+    """Speeds marked unreachable that a cart reaches by switching its control a few times."""
     cart = double_integrator()
     phi = solve(cart).grid.values
     fast = np.abs(cart.axes[1].nodes) > 1.5
@@ -108,7 +108,7 @@ def test_what_only_switching_reaches_is_found():
 
 
 def test_values_that_lead_nowhere_are_doubted():
-    """Values that grow towards the target, and those of a world without its wall."""
+    """Values that grow towards the target, and values of a world without its wall."""
     problem = line()
     away = on_grid(problem, 3.1 - np.abs(problem.axes[0].nodes))
     assert "drives arrive; from x" in certify(away, problem).doubts[-1]
@@ -119,7 +119,7 @@ def test_values_that_lead_nowhere_are_doubted():
 
 
 def test_values_of_another_system_are_doubted():
-    """A limit of the speed, and a disturbance, that the solution does not know."""
+    """The solution ignores a speed limit, or a disturbance."""
     free = TimeToReachProblem(
         system=double_integrator().system,
         axes=(Axis("x", "m", -6.0, 6.0, 121), Axis("v", "m/s", -2.0, 2.0, 41)),
@@ -134,7 +134,7 @@ def test_values_of_another_system_are_doubted():
 
 
 def test_python_is_warned_of_doubts():
-    """Times of Lax-Friedrichs are too long where they jump."""
+    """Times from Lax-Friedrichs are too long near jumps."""
     with pytest.warns(DoubtfulValueWarning, match="but the solution says"):
         solution = solve(car(inflation=0.354), "lax_friedrichs")
     assert Certificate.from_notes(solution.grid.notes) == solution.certificate
@@ -154,12 +154,12 @@ def test_few_samples_of_a_control_are_doubted():
     assert solve(TimeToReachProblem(system, axes, target)).certificate.doubts == ()
     few = solve(TimeToReachProblem(system, axes, target, control_counts=4)).certificate
     assert "solve with more, such as --controls heading=33" in few.doubts[0]
-    assert few.contradictions > 0  # paths back also take controls between the samples
+    assert few.contradictions > 0  # backward paths also use controls between the samples
 
 
 @pytest.mark.parametrize("ratio", [1.0, 100.0])
 def test_systems_with_slow_and_fast_states_are_certified(ratio):
-    """Steps are measured in cells, so the slow axis costs as many as the fast one."""
+    """Steps are measured in cells, so the slow axis takes as many as the fast one."""
     boat = plane(count=61)
     fast = replace(boat.system, equations=lambda _m, _p: lambda _x, u, d: (u[0] + d[0], ratio * u[1] + d[1]))
     problem = replace(boat, system=fast)

@@ -1,4 +1,4 @@
-"""How many samples of each control are tried: enough where the best one lies inside its bounds, few elsewhere."""
+"""Number of control samples: enough if the best control lies inside its bounds, few otherwise."""
 
 import math
 from dataclasses import replace
@@ -16,14 +16,14 @@ TURN = Quantity("heading", "rad", -math.pi, math.pi)
 
 
 def boat(**options):
-    """Zermelo's boat: its speed is 1, its heading the control, and a current of 0.5 carries it along x."""
+    """Return Zermelo's boat: speed 1, heading as control, and a current of 0.5 along x."""
     own = system(lambda m, _x, u, _d: (m.cos(u[0]) + 0.5, m.sin(u[0])), states="xy")
     own = replace(own, controls=(TURN,))
     return TimeToReachProblem(own, axes("xy", 41), Region({}, Disc((0.0, 0.0), 0.25)), **options)
 
 
 def exact(x, y, current=0.5, radius=0.25):
-    """Time of the boat to the disc: the first time at which the disc, carried back, is within its own reach."""
+    """Return the boat's time to the disc: when the disc, carried back by the current, comes within reach."""
     times = np.linspace(0.0, 20.0, 200_001)
     return times[np.argmax(np.hypot(x + current * times, y) <= times + radius)]
 
@@ -42,7 +42,7 @@ def test_a_heading_is_sampled_round_the_turn():
     chosen = boat()
     assert chosen.control_counts == (33,)
     headings = chosen.control_samples[:, 0]
-    assert len(headings) == 32  # both ends of the turn are one heading
+    assert len(headings) == 32  # both ends of the full turn are the same heading
     np.testing.assert_allclose(np.diff(headings), math.pi / 16)
     assert chosen.control_doubt == ""
     starts = np.array([[0.0, -1.5], [1.5, 0.0], [-1.5, 0.5], [1.0, 1.0]])
@@ -51,7 +51,7 @@ def test_a_heading_is_sampled_round_the_turn():
 
 
 def test_the_best_control_inside_its_bounds_is_found():
-    """x' = u^3 - u is at most 2 / sqrt(27), where u = -1 / sqrt(3)."""
+    """x' = u^3 - u has the maximum 2 / sqrt(27) at u = -1 / sqrt(3)."""
     cubic = problem(system(lambda _m, _x, u, _d: (u[0] ** 3 - u[0],), states="x"), count=81)
     assert np.abs(cubic.system.dynamics([0.0], cubic.control_samples)).max() == pytest.approx(2 / 27**0.5, rel=0.01)
     assert solve(cubic).grid.value([[1.8]])[0] == pytest.approx(1.5 * 27**0.5 / 2, rel=0.02)
@@ -69,7 +69,7 @@ def test_a_spike_between_the_samples_is_found():
 
 
 def test_what_cannot_be_sampled_within_reason_is_doubted():
-    """Three angles that point anywhere in four dimensions, against a strong current, need thousands of triples."""
+    """Three angles that span all directions in four dimensions, against a strong current, need thousands of samples."""
     angles = tuple(replace(TURN, name=name) for name in "abc")
 
     def f(m, _x, u, _d):
@@ -83,7 +83,7 @@ def test_what_cannot_be_sampled_within_reason_is_doubted():
 
 @pytest.mark.parametrize("current", [0.0, 0.5, 0.9, 0.98])
 def test_controls_are_added_where_little_way_is_made(current):
-    """Against a current of 0.98, what 80 headings and pitches miss of a submarine's speed is most of its way."""
+    """Against a current of 0.98, 80 headings and pitches miss most of a submarine's ground speed."""
     elevation = Quantity("up", "rad", -math.pi / 2, math.pi / 2)
 
     def f(m, _x, u, _d):

@@ -1,4 +1,4 @@
-"""Systems from small ones: free names, joined by the maximum, a lower bound; the gap to the whole."""
+"""Decomposed systems: free names, joining by the maximum, the lower bound, and the gap to the whole."""
 
 from dataclasses import replace
 from functools import cache
@@ -69,13 +69,13 @@ def test_lower_bound_of_the_exact_time(x, y, theta):
     state = np.array([[x, y, theta]])
     exact, path = dubins.to_box(state, BOX)
     assume(dubins.stays_in(state, path, -5.0, 5.0)[0])
-    # Where the time jumps, the grid blurs it by a cell.
+    # The grid blurs jumps of the time by a cell.
     cells = np.stack(np.meshgrid(*([-step, 0.0, step] for step in (0.2, 0.2, 2.0 * np.pi / 36.0))), axis=-1)
     assert car_bound().value(state + cells.reshape(-1, 3)).min() <= exact[0] + 0.05
 
 
 def test_independent_parts_lose_nothing():
-    """Each axis of the point mass has its own control: the maximum is the solution."""
+    """Each axis of the point mass has its own control, so the maximum is the solution."""
     whole = make_problem("3D point mass", 2e4)
     parts = Decomposition("axes", (("x",), ("y",), ("z",)))
     (gap,) = measure_decomposition_errors(whole, [parts])
@@ -85,7 +85,7 @@ def test_independent_parts_lose_nothing():
 
 @pytest.mark.slow
 def test_gap_of_the_quadrotor(tmp_path):
-    """On axes of five nodes the whole is too coarse to be told from its bound."""
+    """Axes of five nodes are too coarse to distinguish the whole from its bound."""
     quadrotor = problem_from_task("quad_ttr", counts={"x": 13, "v_x": 9, "z": 13, "v_z": 9, "psi": 13, "omega": 7})
     told = []
     gaps = measure_decomposition_errors(

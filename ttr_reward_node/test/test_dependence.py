@@ -1,4 +1,4 @@
-"""What a system depends on, found from its equations: never less than differences at random points show."""
+"""Dependences found from a system's equations: never fewer than finite differences at random points show."""
 
 import operator
 
@@ -17,7 +17,7 @@ SAMPLES = 200
 
 
 def make(equations, controls=2, bound=1.0, parameters=None):
-    """A system of three states, with disturbances within +-`bound` on each derivative."""
+    """Return a system of three states with disturbances within +-`bound` on each derivative."""
     return System(
         name="made",
         states=tuple(Quantity(name, "m") for name in NAMES),
@@ -44,7 +44,7 @@ TREES = st.recursive(LEAVES, deeper, max_leaves=12)
 
 
 def value(tree, math, x, u, d):
-    """The value of an expression."""
+    """Return the value of an expression."""
     kind, *inner = tree
     if kind in ("x", "u", "d"):
         return {"x": x, "u": u, "d": d}[kind][inner[0]]
@@ -79,7 +79,7 @@ def test_no_dependence_is_missed(trees, seed):
             changed = ~np.isclose(rates(system, *other), before, rtol=1e-9, atol=1e-9).all(axis=0)
             for rate in np.flatnonzero(changed):
                 assert k in getattr(found[rate], field), trees[rate]
-    # Affine: a mean of disturbances gives the mean of the rates. Not coupled: its effect is the same at any control.
+    # Affine: the mean of disturbances gives the mean of the rates. Uncoupled: their effect is the same at any control.
     x, u, d = inputs
     other_u, other_d = random.uniform(-1.0, 1.0, u.shape), random.uniform(-1.0, 1.0, d.shape)
     mean = 0.5 * (before + rates(system, x, u, other_d))

@@ -1,4 +1,4 @@
-"""Shortest paths to a box of poses: never longer than to any of its poses on a lattice, and they end in it."""
+"""Shortest paths to a box of poses: they end in it, and are never longer than to any lattice pose in it."""
 
 import math
 
@@ -30,7 +30,7 @@ def distance(x0: float, y0: float, a0: float, x1: float, y1: float, a1: float) -
 
 @cached_njit
 def nearest(states, box, lattice):
-    """Lengths (N,) from states (N, 3) to the best of lattice^3 poses of the box."""
+    """Return lengths (N,) from states (N, 3) to the nearest of lattice^3 poses in the box."""
     out, size = np.full(len(states), np.inf), box[:, 1] - box[:, 0]
     for n in range(len(states)):
         x, y, a = states[n]
@@ -60,13 +60,13 @@ def check(states, box, lattice=11):
 
 
 def test_a_turn_to_the_nearest_heading_is_found():
-    """The poses that a turn alone leads to are a narrow ridge among poses that take a whole turn more."""
+    """Poses reached by a single turn are a narrow ridge among poses that need an additional full turn."""
     lengths, _ = to_box(np.array([[3.082, 4.137, -0.866]]), BOX)
     assert lengths[0] == pytest.approx(0.866 + 0.45, abs=1e-6)
 
 
 def test_paths_that_end_at_an_edge_are_found():
-    """A search in a word's own numbers alone stays 0.3 mm away from them."""
+    """A search over a word's own parameters alone misses them by 0.3 mm."""
     box = np.array([[-0.5, 0.5], [-0.5, 0.5], [-0.15455, 0.26455]])
     check(states_about(box, 20, 0, 1.0), box, lattice=9)
 

@@ -1,4 +1,4 @@
-"""Systems that somebody else wrote: each is solved, or refused in one line that says what to write instead."""
+"""User-defined systems: each is solved, or rejected with one line that states the remedy."""
 
 import math as python_math
 from dataclasses import replace
@@ -14,7 +14,7 @@ from ttr_reward_node import METHODS, SafetyGame, TimeToReachError, TimeToReachPr
 
 
 def system(f, states="xv", controls="u", disturbances=None, parameters=None):
-    """A system from f(math, x, u, d)."""
+    """Return a system from f(math, x, u, d)."""
     return System(
         name="own",
         states=tuple(Quantity(name, "m") for name in states),
@@ -98,14 +98,14 @@ def test_names_that_stand_twice_and_disturbances_that_do_nothing_are_refused():
 
 
 def test_what_hides_between_the_ends_is_found():
-    """A singularity at one node of one axis, of which there are many."""
+    """A singularity at one of many nodes of one axis."""
     own = system(lambda _m, x, u, _d: (x[1] / (x[0] - 1.0), u[0]))
     with pytest.raises(TimeToReachError, match=r"'x' is -?(inf|nan) at x 1 m"):
         problem(own, count=1001)
 
 
 def test_a_system_without_controls_flows():
-    """x' = -1 takes as long as the target is far, and never comes to it from the other side."""
+    """x' = -1 takes as long as the target is far, and never reaches it from the other side."""
     own = system(lambda _m, x, _u, _d: (0.0 * x[0] - 1.0,), states="x", controls="")
     flow = problem(own, count=161)
     assert flow.control_samples.shape == (1, 0)

@@ -1,4 +1,4 @@
-"""The command `ttr_experiments`: what is wrong is said before anything is measured; figures and pictures."""
+"""The command `ttr_experiments`: errors are reported before any measurement; figures and pictures are written."""
 
 import json
 from functools import partial

@@ -1,4 +1,4 @@
-"""A bounded disturbance against the control (thesis Eq. 2.18-2.20): closed forms, and more of it never helps."""
+"""Bounded disturbance against the control (thesis Eq. 2.18-2.20): closed forms, and monotonicity in the disturbance."""
 
 import numpy as np
 import pytest
@@ -47,14 +47,14 @@ def test_stronger_disturbance_never_shortens_the_time(weak, more):
     other = solve(double_integrator(weak + more, count=31)).grid.values
     assert (other[np.isinf(one)] == np.inf).mean() > 0.98 if np.isinf(one).any() else True
     both = np.isfinite(one) & np.isfinite(other)
-    # To rounding of the curvature, which is no monotone scheme.
+    # Tolerance for the curvature, with which the scheme is not monotone.
     assert (other[both] >= one[both] - 0.05).all()
 
 
 @pytest.mark.parametrize("gust", [0.0, 0.3])
 @pytest.mark.parametrize("slow", [0.1, 0.01])
 def test_an_axis_that_is_slow_beside_the_others_is_crossed(slow, gust):
-    """Three axes on their own, x far slower than the gust that y is held against: the slowest of them decides."""
+    """Three independent axes, x far slower than the gust that acts on y: the slowest axis determines the time."""
     speeds = np.array([slow, 1.0, 0.6])
     bounds = np.array([0.0, gust, 0.0])
     system = System(

@@ -1,4 +1,4 @@
-"""Memory is asked for before it is taken; machine code is kept between processes."""
+"""Memory is checked before it is allocated; machine code is cached between processes."""
 
 import os
 import subprocess
@@ -51,7 +51,7 @@ def test_no_more_is_taken_than_was_stated(name, points, method):
     )
     peak, stated = map(float, run.stdout.split())
     assert peak <= stated
-    assert stated <= 4.0 * peak  # else it would refuse what fits
+    assert stated <= 4.0 * peak  # a larger estimate would reject problems that fit
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -79,7 +79,7 @@ def test_second_process_compiles_nothing(tmp_path: Path):
 
 
 def test_only_the_entry_points_keep_machine_code():
-    """A cache of an inner function would not see that the functions which it calls have changed."""
+    """A cached inner function would miss changes in its callees."""
     for name in KERNEL_FILES:
         for function in vars(import_module(f"ttr_reward_node.kernels.{Path(name).stem}")).values():
             if isinstance(function, Dispatcher):
@@ -87,7 +87,7 @@ def test_only_the_entry_points_keep_machine_code():
 
 
 def test_without_a_place_for_machine_code_it_is_made_anew(monkeypatch):
-    """As in a read-only installation without a home."""
+    """As in a read-only installation without a home directory."""
 
     def refuse(*_arguments, **_options):
         raise RuntimeError("cannot cache function: no locator available")

@@ -1,4 +1,4 @@
-"""Walls hold: none is thinner than a cell, and no path leaks through one that is not, wherever it stands."""
+"""Walls: none is thinner than a cell, and no path leaks through a valid one, at any position."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ CELL = 0.1
 @example(angle=math.pi / 4, shift=0.0)
 @example(angle=0.0, shift=0.5 * CELL)
 def test_a_wall_as_thin_as_is_allowed_holds(angle, shift):
-    """It divides the plane from edge to edge; the target is 2 cells behind it, within one step of the scheme."""
+    """The wall divides the plane; the target is 2 cells behind it, within one step of the scheme."""
     thickness = 1.0501 * CELL * (abs(math.cos(angle)) + abs(math.sin(angle)))
     across = np.array([math.cos(angle), math.sin(angle)])
     wall = Box(tuple(shift * across), (thickness, 20.0), angle)

@@ -1,4 +1,4 @@
-"""What a problem may not be, and how its digest tells it from others; every system model from a task file."""
+"""Invalid problems, digests of problems, and every system model from a task file."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ from ttr_reward_node import Clearance, SafetyGame, TimeToReachError, TimeToReach
 
 
 def write_task(folder, name, **changes):
-    """Write the car's task by another name with some keys replaced; None leaves one out."""
+    """Write the car's task under another name with some keys replaced; None removes a key."""
     content = yaml.safe_load(task_file("car_ttr").read_text(encoding="utf-8"))
     content.update(name=name, **changes)
     file = folder / f"{name}.yaml"
@@ -26,14 +26,14 @@ def write_task(folder, name, **changes):
 
 
 def small_grid(model):
-    """Five nodes an axis, eight on a periodic one, over the bounds of the state or, where it has none, from -2 to 2."""
+    """Return a grid with five nodes per axis, eight if periodic, over the state's bounds or else -2 to 2."""
     grid, goal = {}, {}
     for state in SYSTEM_MODELS[model].states:
         low, high = (
             (max(state.lower, -2.0), min(state.upper, 2.0)) if not state.periodic else (state.lower, state.upper)
         )
         if model == "quadrotor_rotation" and state.name == "theta":
-            low, high = -1.0, 1.0  # singular upright
+            low, high = -1.0, 1.0  # singular when pointing straight up
         grid[state.name] = {"interval": f"{low} .. {high} {state.unit}", "count": 8 if state.periodic else 5}
         goal[state.name] = f"{low / 2.0} .. {high / 2.0} {state.unit}"
     return {"grid": grid, "goal": goal}
@@ -88,7 +88,7 @@ NUMBERS = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-4
 
 @given(low=NUMBERS, high=NUMBERS)
 def test_a_target_is_an_interval_on_the_grid_or_refused(low, high):
-    """The axis goes from -3 to 3."""
+    """The axis ranges from -3 to 3."""
     right = math.isfinite(low) and math.isfinite(high) and low <= high and high >= -3.0 and low <= 3.0
     if right:
         assert replace(line(), target=Region({"x": Interval(low, high)})).target.intervals["x"] == (low, high)
@@ -131,7 +131,7 @@ def test_the_digest_tells_obstacles_apart():
     free = problem.content_digest
     walls = [plane(lambda x, _y, at=at: np.abs(x - at) - 0.15).content_digest for at in (0.5, 0.6)]
     assert len({free, *walls}) == 3
-    # As files of earlier versions have it.
+    # Digest in files of earlier versions.
     assert free == "176f7e9ba7ad106c3a48ed698b7beb830c3c20b7cdb19263c22f6ca5a0cfecd0"
     moved = replace(problem, target=Region({"x": Interval(-1.6, -1.2)}))
     assert moved.content_digest != free
@@ -139,7 +139,7 @@ def test_the_digest_tells_obstacles_apart():
 
 
 def bounded_cart(low=-1.0, high=1.0):
-    """A cart whose speed has bounds of its own, on a grid to +-2 m/s."""
+    """Return a cart with bounds on its speed, on a grid to +-2 m/s."""
     cart = double_integrator().system
     return TimeToReachProblem(
         system=replace(cart, states=(cart.states[0], replace(cart.states[1], lower=low, upper=high))),
@@ -154,7 +154,7 @@ def test_the_states_own_bounds_limit_it_within_the_grid():
     assert free.limits.tolist() == [[-6.0, -2.0], [6.0, 2.0]]
     assert cart.outside()[0].tolist() == (np.abs(cart.axes[1].nodes) > 1.0).tolist()
     assert not free.outside().any()
-    # The bounds count where they are tighter than the grid, and nowhere else.
+    # Only bounds tighter than the grid take effect.
     assert bounded_cart(-2.0, 9.0).content_digest == free.content_digest != cart.content_digest
     with pytest.raises(TimeToReachError, match=r"'v' in \[1.5, 1.8\] m/s, outside the state's own bounds, \[-1, 1\]"):
         replace(cart, target=Region({"v": Interval(1.5, 1.8)}))
@@ -169,7 +169,7 @@ def test_the_grid_of_a_safety_game_ends_within_the_states_bounds():
 def test_lax_friedrichs_keeps_to_the_states_bounds():
     values = solve(bounded_cart(), "lax_friedrichs").grid
     assert np.isinf(values.values[:, np.abs(values.axes[1].nodes) > 1.01]).all()
-    # From rest at 4 m the free cart takes 4 s less a bit; at most at 1 m/s it takes 5 s.
+    # From rest at 4 m, the free cart takes slightly less than 4 s; limited to 1 m/s, 5 s.
     assert 4.6 < values.value([[4.0, 0.0]])[0] < 5.6
 
 
@@ -181,7 +181,7 @@ def test_a_roll_out_that_leaves_the_states_bounds_has_left():
 
 
 def turning(lower, upper, count=16, periodic=True):
-    """The car, on an axis of its heading."""
+    """Return the car with the given axis for its heading."""
     axes = (
         Axis("x", "m", -2.0, 2.0, 9),
         Axis("y", "m", -2.0, 2.0, 9),
@@ -214,7 +214,7 @@ def test_a_heading_may_have_an_axis_that_it_must_not_leave():
     turning(0.0, 2.0 * math.pi)
     turning(-3.1416, 3.1416)
     assert turning(-1.0, 1.0, periodic=False).limits[:, 2].tolist() == [-1.0, 1.0]
-    # A car that may not turn over does not come back from behind.
+    # A car with a limited heading cannot return from behind.
     whole, half = turning(-math.pi, math.pi, 24), turning(-math.pi / 2, math.pi / 2, 13, periodic=False)
     assert np.isfinite(solve(whole).grid.value([[1.0, 0.0, 0.0]])[0])
     assert np.isinf(solve(half).grid.value([[1.0, 0.0, 0.0]])[0])
@@ -227,7 +227,7 @@ def test_too_few_nodes_to_carry_a_step_are_refused():
     with pytest.raises(TimeToReachError, match=r"axis 'x' has 4 nodes, .* give at least 5"):
         line(count=4)
     turning(-math.pi, math.pi, 8)
-    # Nothing moves along the second axis, which is a number that is only looked up.
+    # Nothing moves along the second axis: it is a constant parameter.
     still = double_integrator().system
     still = replace(still, equations=lambda _m, _p: lambda x, u, d: (u[0] + d[0], 0.0 * x[1]))
     axes = (Axis("x", "m", -3.0, 3.0, 61), Axis("v", "m/s", 0.0, 1.0, 2))

@@ -1,4 +1,4 @@
-"""Solving on finer cells than asked for: which problems, and what is kept of it."""
+"""Solving on a finer grid than requested: for which problems, and which values are kept."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_obstacles_stay_where_they_are():
 
 
 def test_finer_cells_are_more_exact():
-    """x'' = u to |x| <= 1/2 at whatever speed, from rest: the time is sqrt(2 (|x| - 1/2))."""
+    """x'' = u to |x| <= 1/2 at any speed, from rest: the time is sqrt(2 (|x| - 1/2))."""
     x = np.linspace(-2.5, -1.0, 20)
     exact = np.sqrt(2.0 * (np.abs(x) - 0.5))
     states = np.stack((x, np.zeros_like(x)), axis=-1)

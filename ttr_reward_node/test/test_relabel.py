@@ -1,4 +1,4 @@
-"""Rewards for a recorded bag."""
+"""Adding rewards to a recorded bag."""
 
 import json
 from pathlib import Path
@@ -59,13 +59,13 @@ def test_every_odometry_message_gets_a_reward_and_nothing_else_changes(bag: Path
     running = np.array([reward.outcome.value == 0 for reward in rewards])
     paid = np.array([reward.reward for reward in rewards])
     np.testing.assert_allclose(paid[running], -np.minimum(phi[running], 30.0))
-    assert set(paid[~running]) == {-400.0}  # the wall below and the cube in the middle
+    assert set(paid[~running]) == {-400.0}  # the lower wall and the central cube
     assert [reward.header.stamp.sec for reward in rewards] == list(range(100))
     values = [message.data for message in read_messages(output, ["/robot/time_to_reach"])]
     np.testing.assert_allclose([value.state for value in values], states, atol=1e-12)
     info = bag_info(output)
     assert info.custom_data["digest.time_to_reach"] == function.digest
-    # As the topics that the node publishes: a player offers the same, and other tools know the type.
+    # Same as the node's topics, so that a player offers the same QoS and other tools know the type.
     for topic, kind in (("/robot/reward", "TaskReward"), ("/robot/time_to_reach", "StateValue")):
         installed = Path(get_package_share_directory("ctrl_rl_msgs")) / "msg" / f"{kind}.json"
         hashes = {it["type_name"]: it["hash_string"] for it in json.loads(installed.read_text())["type_hashes"]}

@@ -38,7 +38,7 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def car_node(run_shared_node: Callable, grid: Path) -> Any:
-    """Serve the car's function to the tests that only ask."""
+    """Run a node with the car's function, shared by the tests that only query it."""
     return run_shared_node(NODE, "reward", f"grid:={grid}", "slice:=['theta=1.57']")
 
 
@@ -61,7 +61,7 @@ def odometry(state: tuple[float, float, float], stamp: int) -> Odometry:
 
 
 class Peer:
-    """The other side: publishes odometry, keeps the answers; asks the node of a name."""
+    """Client of the node: publishes odometry, stores the answers, and calls the services of a named node."""
 
     def __init__(self) -> None:
         self.asked = NODE
@@ -141,8 +141,8 @@ def test_best_progress_is_paid_once_an_episode(peer: Peer, run_node: Callable, g
     times = ValueGrid.load(grid).value([far, near])
 
     def total(state: tuple[float, float, float], stamp: int) -> float:
-        """Return what has been paid until a state was answered; one that got lost is sent again."""
-        turn = 0  # a second copy at once could be read after the service that follows
+        """Return the sum of rewards up to the answer for a state; a lost message is sent again."""
+        turn = 0  # not resent at once: the copy could be read after the next service call
         while not any(each.header.stamp == to_stamp(stamp) for each in paid):
             if turn % 20 == 0:
                 peer.odom.publish(odometry(state, stamp))
@@ -157,7 +157,7 @@ def test_best_progress_is_paid_once_an_episode(peer: Peer, run_node: Callable, g
 
 
 def test_outside_the_grid_it_says_so(peer: Peer, car_node: Any, grid: Path) -> None:
-    reward, value = peer.ask((4.5, -4.5, -0.8), 1)  # inside, but too close to the wall to turn away
+    reward, value = peer.ask((4.5, -4.5, -0.8), 1)  # on the grid, but too close to the wall to turn away
     assert math.isinf(value.value)
     assert reward.reward == pytest.approx(-longest_time(ValueGrid.load(grid)), abs=1e-9)
     _, value = peer.ask(OUTSIDE, 2)
@@ -205,7 +205,7 @@ def test_a_grid_that_is_refused_late_changes_nothing(peer: Peer, quad: Path) -> 
 
 @pytest.mark.usefixtures("car_node")
 def test_another_grid_is_loaded_while_it_runs_and_a_wrong_one_refused(peer: Peer, tmp_path: Path) -> None:
-    """The last of those that share the node: it serves another function then."""
+    """Runs last of the tests that share the node, because it loads another function."""
     first, _ = peer.ask(FREE, 1)
     other = tmp_path / "other.safetensors"
     solve_task("car_ttr", counts=(31, 31, 24), inflation=0.177).save(other)
@@ -248,7 +248,7 @@ def test_a_function_of_another_task_is_refused(run_node: Callable, grid: Path) -
 
 @pytest.fixture(scope="module")
 def quad_node(run_shared_node: Callable, quad: Path) -> Any:
-    """Serve the quadrotor's function, under a name of its own beside the car's node."""
+    """Run a node with the quadrotor's function, under its own name next to the car's node."""
     return run_shared_node(NODE, "reward", f"grid:={quad}", remap=("__node:=quad_node",))
 
 
@@ -268,7 +268,7 @@ def test_a_decomposed_function_is_served_like_a_single_one(peer: Peer, quad: Pat
 
 @pytest.mark.usefixtures("quad_node")
 def test_what_is_no_longer_served_is_no_longer_latched(peer: Peer, grid: Path) -> None:
-    """The last of those that share the node."""
+    """Runs last of the tests that share the node."""
     peer.asked = "quad_node"
     parts = "/quad_node/grid_x"
     peer.until(lambda: len(peer.node.get_publishers_info_by_topic(parts)) == 1)

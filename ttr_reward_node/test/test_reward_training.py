@@ -1,4 +1,4 @@
-"""Learning with the rewards of Table 3.3: the wrapper pays them, runs are collected into table and pictures."""
+"""Training with the rewards of Table 3.3: the wrapper's rewards, and the table and figures of the runs."""
 
 import json
 from contextlib import suppress
@@ -123,7 +123,7 @@ def test_what_matters_most_is_learnt_first():
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path):
-    with suppress(SystemExit):  # a command line that is refused
+    with suppress(SystemExit):  # an invalid command line
         assert train([*arguments, "--folder", str(tmp_path)]) == 1
     error = capsys.readouterr().err
     assert message in error

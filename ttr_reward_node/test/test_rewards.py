@@ -1,4 +1,4 @@
-"""The rewards of thesis Table 3.3, against their formulas written out once more."""
+"""Rewards of thesis Table 3.3, against an independent implementation of their formulas."""
 
 import math
 from dataclasses import replace
@@ -38,7 +38,7 @@ places = st.floats(-5.0, 5.0)
 
 
 def car_value(values: np.ndarray) -> ValueGrid:
-    """A function of the car's states from values at 3 x 3 x 4 nodes."""
+    """Return a function of the car's states from values at 3 x 3 x 4 nodes."""
     axes = (
         Axis("x", "m", -5.0, 5.0, 3),
         Axis("y", "m", -5.0, 5.0, 3),

@@ -1,4 +1,4 @@
-"""Driving by the solution: executed against predicted time."""
+"""Roll-outs by the solution: executed against predicted time."""
 
 import numpy as np
 import pytest

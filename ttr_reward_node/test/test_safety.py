@@ -1,4 +1,4 @@
-"""Safety values beside closed forms: braking before walls, games of two players, targets, margins that move."""
+"""Safety values against closed forms: braking before walls, two-player games, targets, moving margins."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def _line(math, p):
 
 
 def line(disturbance=0.0, count=61):
-    """x' = u + d on [-3, 3] m, |u| <= 1 m/s."""
+    """Return the game x' = u + d on [-3, 3] m with |u| <= 1 m/s."""
     return SafetyGame(make(_line, ("x",), 1, disturbance), (Axis("x", "m", -3.0, 3.0, count),))
 
 
@@ -39,7 +39,7 @@ def test_two_players_have_the_value_of_the_known_game(game, counts, bound):
 
 
 def test_a_target_is_reached_in_time_and_round_no_obstacle():
-    """On a line from x to the target at 2 m, with something at -1 m that no way leads round."""
+    """On a line from x to the target at 2 m, with an obstacle at -1 m that cannot be bypassed."""
     inside, margin = 0.5 - np.abs(LINE - 2.0), np.abs(LINE + 1.0) - 0.25
     solver = SafetySolver(line())
     soon = solver.solve(margin, target=inside, horizon=1.0).values >= 0.0
@@ -50,7 +50,7 @@ def test_a_target_is_reached_in_time_and_round_no_obstacle():
 
 
 def test_what_comes_faster_than_one_can_flee_is_met():
-    """A wall at x = 2 t - 2 m drives all before it that have 1 m/s; after T they have lost T metres."""
+    """A wall at x = 2 t - 2 m gains 1 m/s on a robot that flees at 1 m/s: the margin falls by T m in T s."""
     times = []
 
     def margin(time):
@@ -58,7 +58,7 @@ def test_what_comes_faster_than_one_can_flee_is_met():
         return LINE + 2.0 - 2.0 * time
 
     solution = SafetySolver(line(), step=0.25).solve(margin, horizon=1.5)
-    away = LINE < 1.0  # those farther right come to the grid's end
+    away = LINE < 1.0  # states farther right reach the end of the grid
     np.testing.assert_allclose(solution.values[away], (LINE + 2.0 - 1.5)[away], atol=1e-4)
     assert (times[0], times[-1]) == (1.5, 0.0)
 
@@ -76,7 +76,7 @@ def test_a_disc_of_disturbances_is_a_finite_set():
 
 
 def test_angles_wrap_round():
-    """A turntable: what turns by 1 rad/s for 1 s meets all within 1 rad, across the seam as well."""
+    """A turntable at 1 rad/s sweeps all angles within 1 rad in 1 s, also across the seam."""
     angle = Quantity("theta", "rad", -np.pi, np.pi, periodic=True)
     turn = Quantity("d_theta", "rad/s", -1.0, 1.0)
     system = System("turntable", (angle,), (), (turn,), {}, lambda _m, _p: lambda _x, _u, d: (d[0],))

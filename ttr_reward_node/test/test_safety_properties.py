@@ -1,4 +1,4 @@
-"""Safety values fall with horizon, obstacles and disturbance; warm starts end where cold ones do."""
+"""Safety values decrease with horizon, obstacles and disturbance; warm and cold starts give the same result."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_the_discounted_form_ends_at_one_value_from_any_guess(seed):
 
 @pytest.fixture(scope="module")
 def car():
-    """What brakes at 1 m/s^2 along x and slips aside at 0.3 m/s, in a window of 4 m by 4 m."""
+    """Return a robot that brakes at 1 m/s^2 along x and moves sideways at 0.3 m/s, in a window of 4 m by 4 m."""
 
     def equations(_math, _p):
         return lambda x, u, _d: (x[2], u[1], u[0])
@@ -67,7 +67,7 @@ def car():
 
 
 def obstacle(x, y):
-    """Distance to a disc of 0.4 m at a place, over the window [m]."""
+    """Return the distance to a disc of 0.4 m at (x, y), over the window [m]."""
     nodes = np.linspace(-2.0, 2.0, 41)
     return (np.hypot(nodes[:, None] - x, nodes[None] - y) - 0.4)[:, :, None]
 
@@ -82,7 +82,7 @@ def test_a_solution_is_a_fixed_point(car):
 
 
 def test_a_warm_start_ends_where_a_cold_one_does(car):
-    """From above: what is new makes the margin smaller."""
+    """From above: the new obstacle makes the margin smaller."""
     old = car.solve(obstacle(0.4, 0.2))
     both = np.minimum(obstacle(0.4, 0.2), obstacle(-1.0, 0.8))
     cold, warm = car.solve(both), car.solve(both, initial=old.values)

@@ -1,4 +1,4 @@
-"""Shortcuts of the sweeps: slabs as a whole where rows are short, and which nodes are near target and obstacles."""
+"""Shortcuts of the sweeps: whole slabs for short rows, and the choice of nodes near target and obstacles."""
 
 import math
 
@@ -13,12 +13,12 @@ from ttr_reward_node.verification.cost import make_problem
 
 from ttr_reward_node import problem_from_task
 
-RATE = 0.01  # of the transform w = exp(-RATE phi) [1/s]
+RATE = 0.01  # rate of the transform w = exp(-RATE phi) [1/s]
 QUADROTOR = {"x": 9, "v_x": 8, "z": 9, "v_z": 8, "psi": 8, "omega": 5}
 
 
 def test_slabs_follow_the_rule_of_rows():
-    """A dozen slabs are found from given values of all others, row by row and as a whole, in each phase."""
+    """Twelve slabs are computed from given values of all others, by row and as a whole, in each phase."""
     problem = problem_from_task("quad_ttr", counts=QUADROTOR)
     layout, steps, table, grid = _tables(problem)
     near = near_nodes.find_near_nodes(problem, layout, steps, table, grid, RATE)

@@ -1,4 +1,4 @@
-"""What holds for any problem: unreachable states, obstacles, periodic axes, when it stops, all systems of Table 3.1."""
+"""General properties: unreachable states, obstacles, periodic axes, termination, all systems of Table 3.1."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ from ttr_reward_node import METHODS, TimeToReachError, problem_from_task, solve
 
 
 def wall(gap):
-    """A wall at x = 0.5 from y = -2 to 2 - gap."""
+    """Return the distance to a wall at x = 0.5 from y = -2 to 2 - gap."""
     return lambda x, y: np.maximum(np.abs(x - 0.5) - 0.15, y - (2.0 - gap))
 
 
@@ -50,7 +50,7 @@ def test_car_that_must_leave_the_grid_is_unreachable():
 
 
 def test_heading_wraps_round():
-    """Turning the whole plane by half a turn turns the solution; the target then lies across the seam of the axis."""
+    """Rotating the plane by half a turn rotates the solution; the target then lies across the seam of the axis."""
     car = problem_from_task("car_ttr", counts=(51, 51, 36))
     ahead = Region({"x": Interval(1.0, 2.0), "y": Interval(-0.5, 0.5), "theta": Interval(-0.3, 0.3)})
     turned = Region({"x": Interval(-2.0, -1.0), "y": Interval(-0.5, 0.5), "theta": Interval(np.pi - 0.3, np.pi + 0.3)})
@@ -122,7 +122,7 @@ def test_limits_must_be_positive(options, words):
 
 @pytest.mark.parametrize("sweeps", [1, 2, 4])
 def test_what_is_given_up_holds_no_made_up_times(sweeps):
-    """The longest time of the car is 20 s; before it has settled, the blur of interpolation alone makes hours."""
+    """The longest time of the car is 20 s; before convergence, interpolation blur alone produces hours."""
     solution = solve(problem_from_task("car_ttr", counts=(51, 51, 36)), max_sweeps=sweeps)
     assert not solution.converged
     assert solution.grid.values[np.isfinite(solution.grid.values)].max() < 40.0
@@ -151,7 +151,7 @@ for part in split(problem, PLANAR_QUADROTOR_FIVE):
 
 
 def test_lax_friedrichs_stays_within_its_arrays(tmp_path):
-    """Where f depends on every state there is a dummy axis of one node, which has no neighbours."""
+    """If f depends on every state there is a dummy axis of one node without neighbours."""
     environment = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     run = subprocess.run([sys.executable, "-c", _PIECES], env=environment, check=False, capture_output=True, text=True)
     assert run.stdout.split() == ["True", "False"] * 2, run.stderr

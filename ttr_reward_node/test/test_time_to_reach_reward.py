@@ -1,4 +1,4 @@
-"""The time to reach as the reward of environments of the test's own: what is paid, and that robots learn by it."""
+"""Time to reach as the reward of user-defined environments: the rewards, and training with them."""
 
 import math
 import warnings
@@ -31,11 +31,11 @@ from ttr_reward_node import (
 
 HALF, SPEED, STEP, LONGEST = 2.0, 1.0, 0.2, 40
 WALL = Box((0.0, -0.7), (0.3, 2.6))
-"""A wall from the lower side up to y = 0.6."""
+"""Wall from the lower side up to y = 0.6."""
 
 
 def particle(_math, _parameters):
-    """A point that moves as it is told."""
+    """Return the equations of a point whose velocity is the control."""
     return lambda _, u, d: (u[0] + d[0], u[1] + d[1])
 
 
@@ -56,7 +56,7 @@ def value():
 
 
 class Yard(gymnasium.Env):
-    """A particle that has to go round a wall; it is paid 1 at the goal and slides along walls."""
+    """Particle that has to go round a wall; it is paid 1 at the goal and slides along walls."""
 
     def __init__(self, told=True):
         self.observation_space = spaces.Box(-HALF, HALF, (2,), np.float32)
@@ -74,7 +74,7 @@ class Yard(gymnasium.Env):
 
     def step(self, action):
         self.steps += 1
-        for side in np.diag(STEP * SPEED * np.clip(action, -1.0, 1.0)):  # what stops one side lets it slide along
+        for side in np.diag(STEP * SPEED * np.clip(action, -1.0, 1.0)):  # a blocked component does not stop the other
             there = np.clip(self.at + side, -HALF, HALF)
             if WALL.signed_distance(there[None])[0] > 0.0:
                 self.at = there
@@ -83,7 +83,7 @@ class Yard(gymnasium.Env):
 
 
 def drive(environment, actions, at=(-1.5, -1.5)):
-    """Return the rewards and infos of actions from a place."""
+    """Return the rewards and infos of actions from a start position."""
     _, info = environment.reset(seed=0, options={"at": at})
     rewards, infos = [], [info]
     for action in actions:
@@ -104,7 +104,7 @@ def test_best_progress_pays_the_time_to_reach_of_the_start_once(value):
     rewards, infos = drive(environment, ROUND)
     start = infos[0]["time_to_reach"]
     assert infos[-1]["time_to_reach"] == 0.0
-    assert sum(rewards) == pytest.approx(1.0 + start)  # the environment's own 1, and a second's worth for each second
+    assert sum(rewards) == pytest.approx(1.0 + start)  # the environment's own 1, and 1 per second of progress
     to_and_fro, _ = drive(environment, [UP, DOWN] * 6 + ROUND)
     assert sum(to_and_fro) == pytest.approx(sum(rewards))
     assert min(to_and_fro) >= 0.0
@@ -145,9 +145,9 @@ def test_states_off_the_grid_and_without_a_way_are_no_progress(value):
         return [environment.step(np.zeros(2, np.float32))[1] for _ in places[1:]]
 
     longest = float(np.max(value.values[np.isfinite(value.values)]))
-    (off,) = paid((-1.5, -1.5), (-1.5, -9.0))  # as at (-1.5, -2), further from the goal
+    (off,) = paid((-1.5, -1.5), (-1.5, -9.0))  # same as at (-1.5, -2), farther from the goal
     assert off == 0.0
-    inside, out, back = (0.0, -1.0), (-1.0, -1.0), (0.0, -1.0)  # within the wall there is no way
+    inside, out, back = (0.0, -1.0), (-1.0, -1.0), (0.0, -1.0)  # a position inside the wall cannot reach the goal
     entered, left = paid(inside, out, back)
     assert entered == pytest.approx(longest - float(value.value([out])[0]))
     assert left == 0.0
@@ -241,7 +241,7 @@ def test_a_step_before_a_reset_is_refused(value):
 
 
 def success_after_learning(make, samples):
-    """Return the part of 20 episodes that reach the goal after PPO has learnt from so many samples."""
+    """Return the success rate in 20 episodes after training PPO with `samples` samples."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
 

@@ -1,4 +1,4 @@
-"""The commands `solve`, `check` and `slices`: files, pictures, and one line for what is wrong."""
+"""The commands `solve`, `check` and `slices`: files, figures, and one-line error messages."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_safe_states_are_solved_and_drawn(kind, more, tmp_path, capsys):
     goal, wall, far = function.value([[4.0, 4.0, 0.75], [4.75, 0.0, 0.0], [-4.0, -4.0, 0.75]])
     assert wall < 0.0
     assert (far > 0.0) == (kind == "avoid")
-    assert kind == "avoid" or goal > -0.05  # in its corner the goal is no place to stay
+    assert kind == "avoid" or goal > -0.05  # the goal lies in a corner in which a car cannot stay
     assert "% of the nodes" in capsys.readouterr().out
     assert slices([str(file), "--at", "theta=0,1.57"]) == 0
     assert (tmp_path / "safe.png").stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""Pictures of times to reach, of their cost, and of what learns by them."""
+"""Figures of times to reach, of their cost, and of training."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The GPU's kernels against the Numba solver: on the CPU, or on a GPU with CTRL_RL_TEST_DEVICE=cuda."""
+"""GPU kernels against the Numba solver: on the CPU, or on a GPU with CTRL_RL_TEST_DEVICE=cuda."""
 
 import importlib.util
 import os
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::ttr_reward_node.errors.Doubtful
 
 
 def _pendulums(counts):
-    """Return as many coupled pendulums as fit on a grid of (angle, speed) pairs."""
+    """Return as many coupled pendulums as there are (angle, speed) pairs in the grid."""
 
     def equations(math, _p):
         def rates(x, u, _d):
@@ -48,7 +48,7 @@ def _pendulums(counts):
 
 
 def _integrators(axes):
-    """Return x' = u on each of some axes, (name, lower, upper, count, periodic): f depends on no state."""
+    """Return x' = u on the given axes (name, lower, upper, count, periodic): f depends on no state."""
     states = tuple(Quantity(name, "1", low, high, periodic=turns) for name, low, high, _, turns in axes)
     system = System(
         name="integrators",
