@@ -1,4 +1,4 @@
-"""A driver that knows one command: run as a process of its own, to be killed, frozen or fall silent."""
+"""A driver that sends one command, run as a separate process so that tests can kill, freeze or silence it."""
 
 import argparse
 import time

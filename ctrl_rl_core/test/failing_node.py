@@ -1,4 +1,4 @@
-"""A node whose callbacks raise what its parameters say, run as a process by tests of faults and of starting.
+"""A node whose callbacks fail as configured by its parameters, run as a process by tests of faults and startup.
 
 Options besides ROS's: --drives for a node that may share no memory, --slow for rclpy's usual executor,
 --without-events for an rclpy that has no other, --stuck for a constructor that takes a minute.
@@ -27,11 +27,11 @@ def work(seconds):
 
 
 class FatalError(CtrlRlError):
-    """The work cannot go on."""
+    """The work cannot continue."""
 
 
 class FailingNode(SuiteNode):
-    """Raises in each of its callbacks when the topic `say` says so, and repeats on `heard` what else it hears."""
+    """Raises in each of its callbacks when the topic `say` requests it, and repeats other messages on `heard`."""
 
     FATAL = (FatalError,)
     PARAMETERS = (

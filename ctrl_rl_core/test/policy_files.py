@@ -1,4 +1,4 @@
-"""Small policies for tests: an actor that drives straight on, and its interface."""
+"""Small policies for tests: an actor that drives straight ahead, and its interface."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ def manifest(**changes: Any) -> PolicyManifest:
 
 
 def actor(interface: PolicyManifest, action: tuple[float, float] = (0.0, 0.0), **changes: Any) -> Actor:
-    """Return an actor that always gives one action."""
+    """Return an actor that always returns one action."""
     size = interface.size
     given = {
         "weights": (np.zeros((8, size), np.float32), np.zeros((2, 8), np.float32)),

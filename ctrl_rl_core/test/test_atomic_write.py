@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic file writing."""
 
 import pytest
 from ctrl_rl_core.io.atomic_write import is_temporary
@@ -38,7 +38,7 @@ def test_temporary_files_are_told_from_others(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_run_left_is_in_nobodys_way(tmp_path, monkeypatch):
-    """In a container each run has the same process id."""
+    """In a container, every run has the same process id."""
 
     def killed(_: int) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""How commands refuse and end."""
+"""Errors and exit codes of commands."""
 
 import os
 import select

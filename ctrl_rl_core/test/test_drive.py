@@ -1,4 +1,4 @@
-"""The loop that drives every episode: who is asked when, what a filter changes, and what is kept."""
+"""The loop that drives every episode: order of calls, effect of filters, and stored data."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from ctrl_rl_core import Episodes, FunctionDriver, Outcome, Step, drive, drive_f
 
 
 class Cart:
-    """A cart on a line from a start that is its seed: it reaches the goal at 10, and hits a wall below 0."""
+    """A cart on a line with its seed as start; the goal is at 10, and a wall below 0."""
 
     def __init__(self, longest: int = 50) -> None:
         self._longest = longest
@@ -71,7 +71,7 @@ def test_a_driver_that_fails_ends_the_drive_with_its_error() -> None:
 
 
 class Carts:
-    """Carts side by side."""
+    """Carts driven in parallel."""
 
     def begin(self, seeds: Any) -> tuple[np.ndarray, np.ndarray]:
         self.places = np.array(seeds, float)

@@ -1,4 +1,4 @@
-"""A drive ends with the episode, or after the distance that the user allows."""
+"""A drive ends with the episode, or after the maximum distance."""
 
 import pytest
 from ctrl_rl_core.driving.driver_node import ENDED, Arrival

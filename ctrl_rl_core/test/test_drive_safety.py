@@ -1,4 +1,4 @@
-"""Scans that are no knowledge, and obstacles: what a robot may do then."""
+"""Unusable scans and obstacles, and the commands they permit."""
 
 import math
 
@@ -38,7 +38,7 @@ def see(safety: DriveSafety, ranges: np.ndarray, step: int = 0, scan: ScanGeomet
 
 
 def refused(safety: DriveSafety, command: np.ndarray = AHEAD) -> str:
-    """Return why a command is refused as a whole."""
+    """Return why a command is rejected completely."""
     with pytest.raises(ScanError) as error:
         safety.limit(command, 0.2, 0.0)
     return str(error.value)
@@ -58,7 +58,7 @@ def test_a_scan_without_echoes_is_no_free_space(nothing: float) -> None:
 @pytest.mark.fault
 @pytest.mark.parametrize("first", [0, 90, 180, 270])
 def test_a_covered_half_stops_what_drives_towards_it_and_nothing_else(first: int) -> None:
-    """A half to the left, the front and the right are ahead; one behind is not, unless the robot backs off."""
+    """Left, right and front halves count as ahead; a covered rear half matters only when backing off."""
     ranges = np.roll(corridor(), -first)
     ranges[:180] = 0.0
     ranges[[10, 70, 130]] = 0.4  # specks of dust
@@ -191,7 +191,7 @@ def test_each_direction_is_seen_by_the_beam_that_is_nearest_to_it(
 def test_what_is_allowed_leaves_room_to_brake_and_is_no_faster(
     v: float, omega: float, motion: float, seed: int, count: int
 ) -> None:
-    """Roll the allowed command out in small steps: no point comes into the disc that was not there, or was farther."""
+    """Simulate the allowed command in small steps: no point enters the disc, or gets closer to it."""
     random = np.random.default_rng(seed)
     bearing, distance = random.uniform(0.0, TURN, count), random.uniform(0.1, 0.8, count)
     points = np.column_stack((distance * np.cos(bearing), distance * np.sin(bearing)))

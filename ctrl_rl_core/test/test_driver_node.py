@@ -1,4 +1,4 @@
-"""A driver node in one process: what its driver is shown, and what stands between driver and robot."""
+"""A driver node in one process: the driver's inputs, and the checks between driver and robot."""
 
 import math
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ BEAMS, STEP_NS = 90, 200_000_000
 
 
 class Ahead(NodeDriver):
-    """Drives straight on, and keeps what it is shown and told."""
+    """Drives straight ahead, and stores its inputs."""
 
     limits = np.array((0.0, -1.0)), np.array((0.3, 1.0))
 
@@ -42,7 +42,7 @@ def half(_: Sensors, command: np.ndarray) -> np.ndarray:
 
 
 class Stand:
-    """A driver node that is handed scans and odometry."""
+    """A driver node that receives scans and odometry directly."""
 
     def __init__(self) -> None:
         self.node = DriverNode("ahead", Ahead, half)
@@ -51,7 +51,7 @@ class Stand:
         self._time, self._random = 10**12, np.random.default_rng(0)
 
     def scan(self, distance: float = 3.0) -> tuple[tuple[float, ...], str]:
-        """Hand it odometry and a scan of so much room [m]; return the command that was sent, and why it stands."""
+        """Send odometry and a scan with this much clearance [m]; return the command sent, and the reason for a stop."""
         self._time += STEP_NS
         odometry = Odometry(child_frame_id="base_link")
         odometry.pose.pose.orientation.w = 1.0

@@ -1,4 +1,4 @@
-"""The door of executables: signals at any moment, closed and full outputs, unforeseen errors, pages of --help."""
+"""The common entry point: signals at any time, closed and full outputs, unexpected errors, cached help pages."""
 
 import os
 import signal
@@ -37,7 +37,7 @@ def work():
 
 
 class Executables:
-    """Executables in a folder, whose work is in a package of their own."""
+    """Executables in a folder, implemented in a package of their own."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.package = folder, folder / "ctrl_rl_tried"
@@ -48,7 +48,7 @@ class Executables:
         self.environment |= {"XDG_CACHE_HOME": str(folder / "cache")}
 
     def make(self, name: str, code: str, door: str = "command", run_command: bool = True) -> Path:
-        """Make one."""
+        """Create an executable."""
         if run_command and "def work" in code:
             code += "\nfrom ctrl_rl_core.command import run_command\ndef run():\n    return run_command('try', work)\n"
         else:
@@ -61,7 +61,7 @@ class Executables:
         return file
 
     def start(self, file: Path, *words: str, **options: object) -> "subprocess.Popen[str]":
-        """Start one."""
+        """Start an executable."""
         pipe = subprocess.PIPE
         given = {"stdout": pipe, "stderr": pipe, "env": self.environment} | options
         return subprocess.Popen([sys.executable, file, *words], text=True, **given)  # type: ignore[call-overload,no-any-return]

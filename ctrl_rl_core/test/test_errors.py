@@ -1,4 +1,4 @@
-"""Errors repeat what others have sent, and are lines that a terminal shows as they are."""
+"""Error messages with content from outside are printable single lines."""
 
 from ctrl_rl_core.errors import CtrlRlError, one_line, printable
 

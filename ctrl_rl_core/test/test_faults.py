@@ -1,4 +1,4 @@
-"""Callbacks that raise: no node ends by them, and everybody is told. On real processes, under both executors."""
+"""Failing callbacks do not end a node and are reported; tested on real processes with both executors."""
 
 import signal
 import subprocess
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.fault
 
 
 class Failing:
-    """The failing node as a process, and a node that talks to it."""
+    """The failing node as a process, and a node that communicates with it."""
 
     def __init__(self, log: Path, *arguments: str, namespace: str = "") -> None:
         self._log = log
@@ -60,7 +60,7 @@ class Failing:
             self.say_to.publish(String(data=word))
 
     def lives(self) -> None:
-        """Check that it still answers."""
+        """Check that the node still responds."""
         self.say("still there?")
         self.wait(lambda: "still there?" in self.heard)
         assert self.process.poll() is None
@@ -81,7 +81,7 @@ class Failing:
         return {each.key: each.value for each in self.statuses[-1].values}.get(name, "") if self.statuses else ""
 
     def failures(self) -> int:
-        """Return how many callbacks have failed so far, by a status that is sent from now on."""
+        """Return the number of failed callbacks, from a status sent after this call."""
         self.statuses.clear()
         self.wait(lambda: self.statuses)
         return int(self.figure("failed callbacks") or 0)
@@ -99,7 +99,7 @@ class Failing:
     ids=["events", "single-threaded", "without events executor"],
 )
 def executor(request) -> Iterator[tuple[str, ...]]:
-    """The options of an executor, while rclpy runs."""
+    """Options of an executor, while rclpy runs."""
     rclpy.init()
     yield request.param
     rclpy.try_shutdown()
@@ -115,7 +115,7 @@ def failing(executor: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory)
 
 @pytest.fixture
 def ending(executor: tuple[str, ...], tmp_path: Path) -> Iterator[Failing]:
-    """A process for one test, which ends it; its topics are its own."""
+    """A process for one test, which ends it; it has its own topics."""
     out = Failing(tmp_path / "log", *executor, namespace="ending")
     yield out
     out.close()

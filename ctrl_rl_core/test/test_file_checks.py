@@ -1,4 +1,4 @@
-"""Whatever lies where a file should be is taken whole or refused in one line, and never waited for."""
+"""Any file-system object in place of a file is read completely or rejected in one line, without blocking."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""A file given to the wrong reader: the reader says what it is and what takes it."""
+"""A file given to the wrong reader is identified in the error message."""
 
 import json
 import re

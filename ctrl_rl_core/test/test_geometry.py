@@ -1,4 +1,4 @@
-"""Boxes, discs and corridors against geometry that can be said by hand, or found by brute force."""
+"""Boxes, discs and corridors compared with hand-computed or brute-force geometry."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Compiled code on disk: damaged files are compiled again, in a process of its own as a node's start is."""
+"""Compiled code on disk: damaged files are recompiled; tested in separate processes, as at a node's start."""
 
 import json
 import os
@@ -61,7 +61,7 @@ print(value_at(np.array([1.0, 3.0], np.float32), axes, np.array([0.5])))
 
 
 def python(folder: Path, program: str) -> tuple[str, str]:
-    """Return what a Python process with its compiled code in the folder says on standard output and error."""
+    """Return standard output and error of a Python process with its compiled code in the folder."""
     answer = subprocess.run(
         [sys.executable, "-c", program],
         capture_output=True,
@@ -74,7 +74,7 @@ def python(folder: Path, program: str) -> tuple[str, str]:
 
 @pytest.fixture(scope="module")
 def ends(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What a process says that calls a function, reads it again, and reads it after each kind of damage."""
+    """Output of a process that calls a cached function before and after each kind of damage."""
     folder = tmp_path_factory.mktemp("code")
     (folder / "twice.py").write_text("def twice(x):\n    return 2.0 * x\n")
     os.utime(folder / "twice.py", (1e9, 1e9))

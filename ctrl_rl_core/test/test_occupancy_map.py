@@ -1,4 +1,4 @@
-"""Occupancy maps: files of map_server's three modes, messages, geometry, and what is refused."""
+"""Occupancy maps: files of map_server's three modes, messages, geometry, and invalid input."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -190,7 +190,7 @@ def test_a_map_with_another_resolution_is_another_map() -> None:
 @pytest.mark.parametrize("largest", [100, 255, 1000, 65535])
 @pytest.mark.parametrize("plain", [True, False])
 def test_the_range_and_encoding_of_a_pgm_change_nothing(tmp_path: Path, largest: int, plain: bool) -> None:
-    """Pillow read a range of 1000 number by number: 33 s for 4,000 x 4,000 cells."""
+    """Pillow read a range of 1000 value by value: 33 s for 4,000 x 4,000 cells."""
     shades = np.array([[0.0, 1.0, 0.8], [0.5, 0.9, 0.1]])
     numbers = np.rint(largest * shades).astype(">u2" if largest > 255 else "u1")
     pixels = b"# words\n" + b" ".join(b"%d" % each for each in numbers.ravel()) if plain else numbers.tobytes()

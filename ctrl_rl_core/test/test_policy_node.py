@@ -1,4 +1,4 @@
-"""The policy node on topics: what it sends, what stops it, and another policy while it drives."""
+"""The policy node on topics: its commands, the reasons for a stop, and a policy change while driving."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ GOAL = [{"source": "goal", "names": ["ahead", "left"]}]
 
 
 class Robot:
-    """The other side of the topics: sends scans, and hears the commands."""
+    """The other side of the topics: sends scans, and receives commands."""
 
     def __init__(self, kind: type, topic: str) -> None:
         self.node = rclpy.create_node("robot")
@@ -64,7 +64,7 @@ class Robot:
         direction: float = 1.0,
         stamped: bool = False,
     ) -> tuple[float, float]:
-        """Return the command that answers one more scan, of a room of 3 m with a wall so far ahead."""
+        """Return the command for one more scan, of a room of 3 m with a wall ahead at this distance."""
         self._sent += 1
         stamp = self._sent * STEP
         if odometry:
@@ -92,13 +92,13 @@ class Robot:
         return self.answers[stamp]
 
     def begin(self) -> None:
-        """Return once the node answers scans."""
+        """Return once the node responds to scans."""
         topics = ("scan", "odom", "goal_pose")
         assert self.wait(lambda: all(self.node.count_subscribers(topic) for topic in topics))
         self.wait(lambda: False, 0.5)  # the last match is seen here before it is seen by both of its ends
 
     def set_policy(self, file: Path) -> str:
-        """Give the node another policy and return why it refuses, empty where it takes it."""
+        """Set another policy and return the reason for a refusal, or "" if accepted."""
         client = self.node.create_client(SetParameters, "policy/set_parameters")
         assert client.wait_for_service(30.0)
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(file))
@@ -134,7 +134,7 @@ def exploding(folder: Path) -> Path:
 
 
 def test_it_drives_holds_swaps_and_stands(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
-    """One node goes through all of it: to start one takes longer than to answer a hundred scans."""
+    """One node runs through all cases, because starting one takes longer than a hundred scans."""
     slow, fast = write(tmp_path, "slow"), write(tmp_path, "fast", (1.0, 0.5), period=0.3)
     waits = write(tmp_path, "waits", observation=GOAL)
     node = run_node("ctrl_rl_core", "policy", f"policy:={slow}", "scan_timeout:=5.0")
@@ -277,7 +277,7 @@ def test_the_pose_comes_from_a_localiser_and_the_odometry_since_where_that_is_as
 
 
 def test_a_command_holds_for_the_policy_s_period(robot: Callable, run_node: Callable, tmp_path: Path) -> None:
-    """The policy turns by the speed that it sees when it decides, at each third scan."""
+    """The policy's turn rate is the speed observed at the decision, every third scan."""
     interface, file = manifest(period=0.3), tmp_path / "policy.safetensors"
     first, second = np.zeros((1, interface.size), np.float32), np.ones((2, 1), np.float32)
     first[0, 4] = 1.0

@@ -1,4 +1,4 @@
-"""Speeds of the motion of poses: exact on arcs, across no jump, and only where a twist lacks."""
+"""Speeds from the motion of poses: exact on arcs, not across jumps, and only if the twist is missing."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ NONE = np.empty(0, np.intp)
 
 
 def arc(v: float, omega: float, count: int = 60, rate: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) [ns] and poses (n, 3) of a drive at constant speeds that begins with heading 3 rad."""
+    """Return times (n,) [ns] and poses (n, 3) of a drive at constant speeds with initial heading 3 rad."""
     t = np.arange(count) / rate
     yaw = 3.0 + omega * t
     if omega:

@@ -1,4 +1,4 @@
-"""How a node's process starts and ends: one line where it cannot, and at once where it is told to. Real processes."""
+"""Start and end of a node's process: one-line startup errors, and prompt shutdown. Real processes."""
 
 import os
 import signal
@@ -134,7 +134,7 @@ def test_what_drives_a_robot_shares_no_memory(tmp_path: Path, options: tuple, en
 
 
 def test_a_middleware_that_hangs_at_the_end_does_not_keep_the_process() -> None:
-    """A call into C that never comes back, with Python's lock held: the node has done its work."""
+    """A C call that never returns while holding Python's lock, after the node has done its work."""
     code = (
         "import ctypes; from ctrl_rl_core.ros import running; running._FAREWELL_S = 0.5\n"
         "with running._soon(): ctypes.PyDLL(None).pause()"

@@ -1,4 +1,4 @@
-"""Any scan to fixed bearings: varying lengths, inf, NaN, zeros."""
+"""Resampling of any scan to fixed bearings: varying lengths, inf, NaN, zeros."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_whatever_comes_distances_are_finite_and_within_limits(ranges: list[floa
 
 
 def plain(ranges: np.ndarray, scan: ScanGeometry) -> np.ndarray:
-    """Say the same in the words of the docstring, one beam after the other."""
+    """Reference implementation, one beam after the other."""
 
     def meant(value: float) -> float:
         if value in (0.0, np.inf) or value > scan.range_max:
@@ -114,7 +114,7 @@ def plain(ranges: np.ndarray, scan: ScanGeometry) -> np.ndarray:
 def test_whatever_the_scan_a_sector_is_the_median_of_its_beams(
     beams: int, angle_min: float, turns: float, direction: int, missed: float, reach: float, seed: int
 ) -> None:
-    """Less than a turn or a whole one, in either direction, from any bearing, with misses of all kinds; bit by bit."""
+    """Partial and full turns, in either direction, from any bearing, with misses of all kinds; bitwise equal."""
     scan = ScanGeometry(beams, angle_min, direction * turns * 2 * np.pi / beams, 0.12, reach)
     random = np.random.default_rng(seed)
     ranges = random.uniform(0.05, 5.0, beams).astype(np.float32)
@@ -126,7 +126,7 @@ def test_whatever_the_scan_a_sector_is_the_median_of_its_beams(
 
 
 def test_a_motor_of_varying_speed_is_looked_up_and_not_worked_out_again() -> None:
-    """An LDS-02's scans, none like another: what is remembered serves nearly all of them, and changes nothing."""
+    """Scans of an LDS-02, all different: nearly all use the cache, with identical results."""
     random = np.random.default_rng(0)
     sectors = Sectors(SECTORS.bearings, SECTORS.half_width, FAR)
     for _ in range(2000):
@@ -138,7 +138,7 @@ def test_a_motor_of_varying_speed_is_looked_up_and_not_worked_out_again() -> Non
 
 
 def test_geometries_without_end_are_forgotten_those_used_longest_ago_first() -> None:
-    """However many beams they have: their memory is bounded, and the lidar that is used stays known."""
+    """Regardless of the number of beams, memory is bounded, and the lidar in use stays cached."""
     sectors = Sectors(SECTORS.bearings, SECTORS.half_width, FAR)
     own = scan_of(360)
     sectors.distances(np.ones(360, np.float32), own)

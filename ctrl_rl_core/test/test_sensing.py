@@ -1,4 +1,4 @@
-"""What a robot's scans, odometry, poses and goals mean: the table of docs/sensing.md, row by row."""
+"""Meaning of a robot's scans, odometry, poses and goals: the table of docs/sensing.md, row by row."""
 
 import math
 from types import SimpleNamespace as Message
@@ -55,7 +55,7 @@ def odometry(position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), linear=(0.0, 0
     ],
 )
 def test_a_beam_means_one_thing_for_checks_and_policies(value: float, meaning: float, ahead: float) -> None:
-    """Straight ahead all beams read one value, between walls at 1 m."""
+    """All beams straight ahead have one value, between walls at 1 m."""
     ranges = np.full(360, WALL, np.float32)
     ranges[np.arange(-6, 7)] = value
     given, geometry = read_scan(scan(ranges))
@@ -154,7 +154,7 @@ def test_a_twist_that_is_none_is_refused(fields: dict, message: str) -> None:
 
 
 def drive(v: float, omega: float, told: tuple[float, float], seconds: float = 3.0, rate: float = 20.0):
-    """Return stamps, poses and told speeds of a drive at constant speeds."""
+    """Return stamps, poses and reported speeds of a drive at constant speeds."""
     times = np.arange(0.0, seconds, 1.0 / rate)
     yaw = 0.7 + omega * times
     way = np.cumsum(np.full(len(times), v / rate))

@@ -1,4 +1,4 @@
-"""Signals that end a process are all caught, and a node ends with the `ros2` that started it. Real processes."""
+"""All signals that end a process are caught, and a node ends with the `ros2` that started it. Real processes."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ while process.returncode is None:
         pass
 sys.exit(process.returncode)
 """
-"""What `ros2 run PACKAGE NODE` does: it hands no signal on, and waits through Ctrl-C."""
+"""Behaves like `ros2 run PACKAGE NODE`: forwards no signal, and waits through Ctrl-C."""
 
 
 class Node:
@@ -112,7 +112,7 @@ def test_a_node_ends_with_the_ros2_run_that_started_it(start: Callable[..., Node
 
 
 def test_a_node_outlives_any_other_parent(start: Callable[..., Node], tmp_path: Path) -> None:
-    """A shell script, an ssh session or a supervisor may end, and the robot goes on."""
+    """When a shell script, an ssh session or a supervisor ends, the robot keeps driving."""
     wrapper = tmp_path / "script.py"
     wrapper.write_text(WRAPPER)
     node = start(sys.executable, wrapper, "run", "package")

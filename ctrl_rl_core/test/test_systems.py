@@ -15,7 +15,7 @@ SYSTEMS = {name: make_system(name) for name in SYSTEM_MODELS}
 
 @st.composite
 def arguments(draw, system: System, rows: int = 3):
-    """States, controls and disturbances inside the model's bounds (and clear of the Euler angles' singularity)."""
+    """Return states, controls and disturbances within the model's bounds, away from the Euler angles' singularity."""
 
     def box(quantities, margin):
         columns = []

@@ -1,4 +1,4 @@
-"""Tasks on an occupancy map, and ranges that episodes draw from."""
+"""Tasks on an occupancy map, and randomised ranges."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -13,7 +13,7 @@ from ctrl_rl_core import NavigationTask, OccupancyMap, TaskError, load_navigatio
 
 @pytest.fixture
 def content(tmp_path: Path) -> dict:
-    """A task on a map of 4 m x 3 m with walls around it, which lies in a folder beside the task's."""
+    """A task on a map of 4 m x 3 m with walls around it, stored in a folder next to the task's."""
     cells = np.zeros((60, 80), np.int8)
     cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 100, 100, 100, 100
     (tmp_path / "maps").mkdir()

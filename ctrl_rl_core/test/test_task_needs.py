@@ -1,4 +1,4 @@
-"""What commands need of a task, and the grid of tasks that name none."""
+"""Requirements of commands on a task, and the default grid of tasks."""
 
 import pytest
 from ctrl_rl_core.tasks import can, require, with_grid

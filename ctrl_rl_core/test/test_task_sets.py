@@ -1,4 +1,4 @@
-"""Which set of a task a state lies in."""
+"""Classification of states into the sets of a task."""
 
 import numpy as np
 import pytest

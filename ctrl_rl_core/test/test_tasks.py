@@ -1,4 +1,4 @@
-"""Task files: the suite's own are whole, and a wrong one says where it is wrong."""
+"""Task files: the suite's own are valid, and errors name the faulty key."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Transforms by time and the pose in the map: chains, interpolation, ages, and what is refused."""
+"""Transforms by time and the pose on the map: chains, interpolation, ages, and invalid input."""
 
 import math
 from itertools import pairwise
@@ -190,7 +190,7 @@ def test_scans_of_a_real_drive_agree_where_its_transforms_put_them(real_drive: P
 
 
 def quarrel(*publishers: tuple[str, float], count: int = 20, rate: float = 20.0) -> TransformTree:
-    """Return a tree in which each publisher in turn says where the base is, by its parent and its x."""
+    """Return a tree in which publishers alternately report the base, with their parent and x."""
     tree = TransformTree()
     tree.set("map", "odom", planar(0.0, 0.0, 0.0), 0, 0.0, fixed=True)
     for number in range(count):

@@ -13,7 +13,7 @@ from value_grids import make_grid, quickly, random_axes
 from ctrl_rl_core import ValueGrid
 
 KERNELS = st.sampled_from([*((n, np.float64) for n in (1, 2, 3, 6)), (2, np.float32)])
-"""Dimensions and type of the values: each pair is compiled for seconds where no machine code is kept yet."""
+"""Dimensions and type of the values; each pair takes seconds to compile without a cache."""
 
 
 def mesh(axes) -> np.ndarray:
@@ -25,7 +25,7 @@ def random_states(random: np.random.Generator, axes, count: int) -> np.ndarray:
 
 
 def peer(grid: ValueGrid) -> RegularGridInterpolator:
-    """scipy on the same grid; a periodic axis is closed by its first node."""
+    """Return scipy's interpolator on the same grid; a periodic axis is closed with its first node."""
     values, nodes = np.asarray(grid.values, np.float64), []
     for k, axis in enumerate(grid.axes):
         nodes.append(np.append(axis.nodes, axis.upper) if axis.periodic else axis.nodes)
@@ -220,7 +220,7 @@ def test_nodes():
 
 
 def test_works_without_a_writable_cache_folder(tmp_path):
-    """A read-only installation whose user has no home compiles in memory instead of failing at import."""
+    """A read-only installation without a home folder compiles in memory instead of failing at import."""
     code = (
         "import numba.core.caching as caching\n"
         "caching.CacheImpl._locator_classes = []\n"

@@ -97,7 +97,7 @@ def test_flipped_values_are_refused(tmp_path):
 
 
 def edited(path, **changes) -> None:
-    """Rewrite the description of a saved grid as an earlier version would; None removes a field."""
+    """Rewrite the description of a saved grid as in an earlier version; None removes a field."""
     with safe_open(path, framework="numpy") as file:
         description = json.loads(file.metadata()["value_grid"])
         values = file.get_tensor("values")

@@ -1,4 +1,4 @@
-"""What drives a robot, as a process: commands within limits, a stop with its reason, zero velocity at the end."""
+"""A velocity driver as a process: commands within limits, stops with a reason, zero velocity at the end."""
 
 import signal
 import sys
@@ -56,7 +56,7 @@ sys.exit(run_node(Echo))
 
 
 class Base:
-    """The other side: odometry out, commands in."""
+    """The other side: publishes odometry, receives commands."""
 
     def __init__(self, folder: Path, *parameters: str) -> None:
         rclpy.init()
@@ -78,7 +78,7 @@ class Base:
         return until()
 
     def answer(self, v: float, omega: float) -> TwistStamped:
-        """Return the command that answers odometry of these speeds; ask again until there is one."""
+        """Return the command for odometry with these speeds; repeat until one arrives."""
         message = Odometry(child_frame_id="robot1/base_link")
         message.twist.twist.linear.x, message.twist.twist.angular.z = v, omega
         message.header.stamp.sec = len(self.commands) + 1
@@ -98,7 +98,7 @@ class Base:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Base]]:
-    """Give a function that starts the driver with parameters."""
+    """Return a function that starts the driver with parameters."""
     started: list[Base] = []
 
     def begin(*parameters: str) -> Base:

@@ -1,4 +1,4 @@
-"""The watchdog's rules alone: when a command passes, when a zero takes its place, and which numbers are refused."""
+"""The watchdog's logic: when commands pass, when zeros replace them, and which values are refused."""
 
 import math
 
@@ -13,7 +13,7 @@ TIMEOUT, PERIOD, REPEAT = 0.5, 0.1, 2.0
 
 @given(st.lists(st.tuples(st.sampled_from(["command", "tick"]), st.floats(0.0, 1.5)), max_size=60))
 def test_a_robot_never_drives_longer_than_the_time_out_on_an_old_command(events: list[tuple[str, float]]) -> None:
-    """Whatever the order of commands and ticks, and however late either is."""
+    """For any order and delay of commands and ticks."""
     now, passed_at, ticked_at = 100.0, -math.inf, 100.0
     watchdog = Watchdog(now, TIMEOUT, PERIOD, REPEAT)
     for kind, wait in events:

@@ -1,4 +1,4 @@
-"""Work in several processes: all of it is done, a kill is told, and nobody outlives a dead parent."""
+"""Work in several processes: completeness, reports of kills, and no survivors of a dead parent."""
 
 import os
 import signal

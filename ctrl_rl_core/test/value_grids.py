@@ -1,4 +1,4 @@
-"""Value grids to test with."""
+"""Value grids for tests."""
 
 import numpy as np
 from ctrl_rl_core.values.value_grid import Axis

@@ -29,7 +29,7 @@ lidar: {beams: 360, field: 0.0 .. 360.0 deg, range: 0.12 .. 3.5 m, rate: 5.0 Hz}
 
 @pytest.fixture
 def make_room(tmp_path: Path):
-    """A function that returns the room as a task: start x and heading, obstacles and movers as YAML."""
+    """Return a function that creates the room as a task, with start x and heading, obstacles and movers as YAML."""
 
     def make(x: float = 0.0, theta: float = 0.0, obstacles: str = "", movers: str = "") -> NavigationTask:
         text = ROOM.replace("START_X", str(x)).replace("START_THETA", str(theta))
@@ -44,7 +44,7 @@ def make_room(tmp_path: Path):
 
 @pytest.fixture(params=[name for name in ENGINES if name not in ("auto", "planar")])
 def engine(request: pytest.FixtureRequest) -> str:
-    """Each engine with contact forces that is installed; test_planar_engine.py has the one without."""
+    """Each installed engine with contact forces; see test_planar_engine.py for the one without."""
     name: str = request.param
     pytest.importorskip(name)
     return name
@@ -52,7 +52,7 @@ def engine(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def simulate(engine: str) -> Iterator[Callable[..., SimulatedWorld]]:
-    """A function that simulates a task, or one of the suite by its name, with options of the simulation."""
+    """Return a function that simulates a task, or one of the suite by name, with simulation options."""
     worlds = []
 
     def make(

@@ -7,8 +7,11 @@ from ctrl_rl_core import load_navigation_task
 
 @pytest.fixture
 def drive(simulate, make_room):
-    """A function that drives a burger in an empty room and returns the change of its pose over `seconds` after
-    `settle` seconds of one command, and its velocity then."""
+    """Return a function that drives a burger in an empty room.
+
+    The function returns the change of its pose over `seconds` after `settle` seconds of one command, and its final
+    velocity.
+    """
 
     def run(command, seconds=2.0, settle=0.5):
         world = simulate(make_room())

@@ -1,4 +1,4 @@
-"""Worlds from a map, and what may differ from robot to robot."""
+"""Worlds from a map, and randomised conditions."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from ctrl_rl_core import OccupancyMap
 
 @pytest.fixture
 def mapped(make_room, tmp_path):
-    """The room with 1,500 loose cells, as a map; the robot stands in the middle of a free square."""
+    """The room with 1,500 loose cells as a map; the robot is in the middle of a free square."""
     cells = np.zeros((300, 400), np.int8)
     random = np.random.default_rng(0)
     cells[random.integers(300, size=1500), random.integers(400, size=1500)] = 100

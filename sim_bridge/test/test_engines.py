@@ -19,7 +19,7 @@ except SimulationError as error:
 
 
 def chosen(name, *missing):
-    """What becomes of the wish for an engine where modules are missing: standard output, and lines of the errors'."""
+    """Return the engine chosen with missing modules, from standard output, and the lines of standard error."""
     command = [sys.executable, "-c", SCRIPT, name, *missing]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     return run.stdout.strip(), [line for line in run.stderr.splitlines() if line.strip()]

@@ -1,4 +1,4 @@
-"""A fleet moves, sees and ends as one robot at a time does in the planar engine."""
+"""A fleet moves, senses and terminates like single robots in the planar engine."""
 
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@ from ctrl_rl_core import load_navigation_task
 
 
 def room_ranges(origin, heading, bearings, largest):
-    """Distances in the empty room from a point, by hand."""
+    """Return hand-computed distances in the empty room from a point."""
     angles = heading + bearings
     with np.errstate(divide="ignore"):
         along_x = np.where(np.cos(angles) > 0, 2.0 - origin[0], -2.0 - origin[0]) / np.cos(angles)

@@ -40,7 +40,7 @@ def arguments(**parameters):
 
 
 class Client:
-    """Talks to one bridge process and keeps what it says."""
+    """Communicates with one bridge process and stores its messages."""
 
     def __init__(self, kind=TwistStamped, namespace="", **parameters):
         self.process = Preloaded([*PROGRAM, *arguments(**parameters)])
@@ -87,7 +87,7 @@ class Client:
         assert self.commands.wait_for_all_acked(Duration(seconds=10))  # so that a step asked for next obeys it
 
     def diagnostics(self):
-        """The key figures of the next report."""
+        """Return the key figures of the next report."""
         self.heard["diagnostics"].clear()
         self.until(lambda: self.heard["diagnostics"])
         return {value.key: value.value for value in self.heard["diagnostics"][-1].status[0].values}
@@ -100,7 +100,7 @@ class Client:
 
 @pytest.fixture
 def start():
-    """A function that starts a bridge and a client of it."""
+    """Return a function that starts a bridge and a client."""
     rclpy.init()
     clients = []
 
@@ -174,7 +174,7 @@ def test_pause_step_and_reset(start):
 
 
 def test_a_lidar_turns_as_often_as_it_is_asked_to(start):
-    """It ends by SIGTERM as well."""
+    """The process is ended by SIGTERM."""
     client = start(start_paused="true", scan_rate=8.0)
     client.call("step", duration=1.0)
     client.until(lambda: len(client.heard["scan"]) > 5)
@@ -185,7 +185,7 @@ def test_a_lidar_turns_as_often_as_it_is_asked_to(start):
 
 
 def stepped_drive(start, **parameters):
-    """What a stepped bridge publishes for fixed commands, as bytes."""
+    """Return the messages of a stepped bridge for fixed commands, as bytes."""
     client = start(start_paused="true", odom_drift=0.05, scan_dropout=0.05, **parameters)
     assert client.call("reset", seed=11).success
     record = []
@@ -280,7 +280,7 @@ def test_a_quadrotor_flies_by_rotor_thrusts(start):
 
 
 def planar(pose):
-    """A message's pose or transform as x, y, heading."""
+    """Return a message's pose or transform as x, y, heading."""
     place = getattr(pose, "position", None) or pose.translation
     turn = getattr(pose, "orientation", None) or pose.rotation
     return np.array((place.x, place.y, 2 * math.atan2(turn.z, turn.w)))

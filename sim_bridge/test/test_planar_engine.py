@@ -1,4 +1,4 @@
-"""The planar engine against PyBullet where nothing is touched, and its geometry against brute force."""
+"""The planar engine compared with PyBullet without contacts, and its geometry with brute force."""
 
 import math
 
@@ -13,7 +13,7 @@ from sim_bridge import NavigationEnv, SimulatedWorld, SimulationError, Simulatio
 
 
 def episodes(task, seed, actions, **rates):
-    """States, lidar readings and clearances of the same actions in both engines, and how both ended."""
+    """Return states, lidar ranges and clearances of the same actions in both engines, and both outcomes."""
     pytest.importorskip("pybullet")
     out = []
     for engine in ("pybullet", "planar"):
@@ -81,7 +81,7 @@ def ready(shapes, *poses, urdf="turtlebot3_burger.urdf"):
 
 
 def corners(row, pose, count=200):
-    """Points on the boundary of a rounded part of an outline at a pose (n, 2)."""
+    """Return points on the boundary of a rounded part of an outline at a pose (n, 2)."""
     turn = np.linspace(0.0, 2.0 * np.pi, count)
     x, y, a, b, radius = row[:5]
     square = np.stack((np.cos(turn), np.sin(turn)), axis=1)

@@ -1,4 +1,4 @@
-"""What the policy node observes on topics is what the environments of the same tasks observe."""
+"""The policy node's observation on topics equals that of the task environments."""
 
 import pytest
 from ctrl_rl_core.policies import ObservationBuilder

@@ -1,4 +1,4 @@
-"""The robot of a simulated world as the loop of drives takes it."""
+"""The robot of a simulated world in the drive loop."""
 
 import numpy as np
 import pytest

@@ -9,7 +9,7 @@ from ctrl_rl_core import TaskError, load_navigation_task
 
 
 def drive(world, steps=25):
-    """Everything that robots sense on a fixed drive that ends against a wall."""
+    """Return all sensor readings on a fixed drive that ends at a wall."""
     low, high = world._robots[0].body.bounds.T
     record = []
     for step in range(steps):
