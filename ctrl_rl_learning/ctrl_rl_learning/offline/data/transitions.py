@@ -208,11 +208,13 @@ class RecordedDrives:
         task: Task that was driven.
         transitions: Observations, actions, rewards and what came of them, those of an episode in order.
         bags: Names of the bags.
+        refusal: Why nothing may be learnt by value from them, whose walls are not the task's; empty where it may.
     """
 
     task: NavigationTask
     transitions: Transitions
     bags: tuple[str, ...]
+    refusal: str = ""
 
     def __len__(self) -> int:
         return len(self.transitions)
@@ -221,7 +223,7 @@ class RecordedDrives:
 def read_drives(
     bags: Sequence[str | Path] | str | Path, task: NavigationTask | str | Path, robot: str = ""
 ) -> RecordedDrives:
-    """Read bags of a task, each a folder that rosbag2 or the suite's recorder wrote.
+    """Read bags of a task, each a folder that rosbag2 or the suite's recorder wrote; warn where they contradict it.
 
     >>> import ctrl_rl, tempfile, pathlib
     >>> from ctrl_rl_learning.offline import ScriptedDriver, drive      # records without ROS
@@ -244,6 +246,11 @@ def read_drives(
     if not isinstance(task, NavigationTask):
         task = load_navigation_task(task)
     paths = [Path(bag) for bag in ([bags] if isinstance(bags, str | Path) else bags)]
-    return RecordedDrives(
-        task, load_transitions(paths, task, TaskDriveOptions(robot=robot)), tuple(path.name for path in paths)
-    )
+    from ctrl_rl_learning.offline.witness import Witness, examine  # which knows transitions
+
+    witness = Witness(task)
+    transitions = load_transitions(paths, task, TaskDriveOptions(robot=robot), witness=witness)
+    account = examine(witness.record(), task)
+    for line in account.lines:
+        warn(line)
+    return RecordedDrives(task, transitions, tuple(path.name for path in paths), account.refusal)

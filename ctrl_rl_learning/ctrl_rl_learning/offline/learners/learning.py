@@ -241,11 +241,14 @@ def learn_from_drives(
         seed: Seed of weights and batches.
 
     Raises:
-        LearningError: There is no such method, or the bags do not hold what it needs.
+        LearningError: There is no such method, the bags do not hold what it needs, or they show other walls than the
+            task's, which all methods but bc believe.
         CtrlRlError: The value function does not fit the task.
     """
     if method not in METHODS:
         raise LearningError(f"no method '{method}': there are {', '.join(METHODS)}")
+    if data.refusal and method != "bc":
+        raise LearningError(data.refusal)
     values = None if value is None else StateValues(value, data.task)
     if values is None and method in NEEDS_VALUE:
         with TemporaryDirectory() as folder:

@@ -21,17 +21,19 @@ from ctrl_rl_learning.offline.witness.limits import (
     many_inside,
     states_inside,
 )
-from ctrl_rl_learning.offline.witness.offset import Offset, fit_offset
+from ctrl_rl_learning.offline.witness.offset import Offset, fit_offset, without_drift
 from ctrl_rl_learning.offline.witness.places import Place, find_places
 from ctrl_rl_learning.offline.witness.record import DriveRecord
 
 Array = NDArray[np.float64]
 _WORTH_A_FIT = 0.01
 """Share of differing beams from which on an offset is looked for."""
+_WORTH_A_DRIFT = 0.1
+"""Share of differing beams from which on a drift is looked for: it moves all walls."""
 _EXPLAINED = 0.5
 """Share of the differing beams that an offset must leave at most to count as one."""
 _TOLD_SHIFT, _TOLD_TURN = 0.05, math.radians(1.5)
-_REFUSED_SHIFT, _REFUSED_TURN = 0.10, math.radians(3.0)
+_REFUSED_SHIFT, _REFUSED_TURN, _REFUSED_DRIFT = 0.10, math.radians(3.0), 0.15
 _REFUSED_BEAMS, _REFUSED_OFF = 20, 0.06
 """Number of beams that must show a place, and distance from the file's wall [m], to refuse the file."""
 _CORNER = 0.12
@@ -48,6 +50,7 @@ class Account:
         beams: The beams with their votes, at poses freed of the offset; None where walls cannot be compared.
         differing: Share of the beams that differ from the file, at the recorded poses.
         offset: Shift and turn of the recorded poses that explains most of it; None for none.
+        drift: How far the poses drift within episodes, where that explains most of it [m]; else 0.
         places: Places at which walls differ, and where something moved.
         paths: Recorded places of each episode (n, 2) [m].
         notes: Other differences, a line each.
@@ -58,6 +61,7 @@ class Account:
     beams: Beams | None
     differing: float
     offset: Offset | None
+    drift: float
     places: tuple[Place, ...]
     paths: tuple[Array, ...]
     notes: tuple[str, ...]
@@ -69,6 +73,9 @@ class Account:
         out = list(self.impossible)
         if self.offset is not None:
             out.append(f"the poses lie off the file's frame: moving them by {self.offset} explains most differences")
+        if self.drift:
+            left = ": walls are not compared" if self.drift >= _REFUSED_DRIFT else ""
+            out.append(f"the poses drift by {self.drift:.2f} m within episodes, which explains most differences{left}")
         walls = [place for place in self.places if place.kind != "mover"]
         if walls and self.beams is not None:
             out.append(f"{self.differing:.1%} of {len(self.beams):,} beams differ from the walls of the task's file")
@@ -100,6 +107,11 @@ class Account:
                 f"the bags' poses are not in the frame of task '{name}': correct the localisation's start, or move the"
                 f" file's walls, start and goal by {self.offset.inverse()}"
             )
+        if self.drift >= _REFUSED_DRIFT and "odom_drift" not in self.task.randomisation:
+            return (
+                f"the bags' poses drift by {self.drift:.2f} m from the frame of task '{name}': record the poses of a "
+                "localisation, not of odometry alone"
+            )
         if self.impossible:
             return (
                 f"the bags are not of task '{name}' and its robot: {self.impossible[0]}; name theirs, or fix the file"
@@ -115,24 +127,37 @@ def examine(record: DriveRecord, task: NavigationTask) -> Account:
     notes, impossible = [*commands_beyond(record, task)], [*faster_than_robot(record, task)]
     paths = tuple(_paths(record))
     if task.plane != "xy" or not record.sightings:
-        return Account(task, None, 0.0, None, (), paths, tuple(notes), tuple(impossible))
+        return Account(task, None, 0.0, None, 0.0, (), paths, tuple(notes), tuple(impossible))
     if task.doorways is not None:
         notes.append("each episode has doorways of its own: the walls are not compared")
-        return Account(task, None, 0.0, None, (), paths, tuple(notes), tuple(impossible))
-    beams = compare(record.sightings, task)
-    differing, offset = beams.differing, None
-    if differing > _WORTH_A_FIT:
-        found = fit_offset(record.sightings, FileWalls(task))
-        moved = compare([found.moved(seen) for seen in record.sightings], task)
-        if moved.differing <= _EXPLAINED * differing:
-            beams = moved
-            if found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN:
-                offset = found
+        return Account(task, None, 0.0, None, 0.0, (), paths, tuple(notes), tuple(impossible))
+    recorded = compare(record.sightings, task)
+    beams, offset, drift = _at_better_poses(recorded, record, task)
     inside, count = states_inside(record, task)
-    if many_inside(inside, count) and offset is None:
+    if many_inside(inside, count) and offset is None and not drift:
         impossible.append(f"{inside} of {count} recorded states lie inside what the file calls a collision")
-    places = find_places(beams, task.build_world())
-    return Account(task, beams, differing, offset, places, paths, tuple(notes), tuple(impossible))
+    # At poses that drift far, what is left of the differences is that of the drift.
+    places = () if drift >= _REFUSED_DRIFT else find_places(beams, task.build_world())
+    return Account(task, beams, recorded.differing, offset, drift, places, paths, tuple(notes), tuple(impossible))
+
+
+def _at_better_poses(beams: Beams, record: DriveRecord, task: NavigationTask) -> tuple[Beams, Offset | None, float]:
+    """Return the beams at the poses that explain them best, with the offset or the drift [m] of the recorded ones."""
+    walls = FileWalls(task)
+    if beams.differing <= _WORTH_A_FIT:
+        return beams, None, 0.0
+    found = fit_offset(record.sightings, walls)
+    moved = compare([found.moved(seen) for seen in record.sightings], task)
+    if moved.differing <= _EXPLAINED * beams.differing:
+        told = found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN
+        return moved, found if told else None, 0.0
+    if beams.differing < _WORTH_A_DRIFT:
+        return beams, None, 0.0
+    freed = [without_drift(seen, walls) for seen in record.sightings]
+    still, drift = compare([seen for seen, _ in freed], task), max(size for _, size in freed)
+    if still.differing > _EXPLAINED * beams.differing or drift < _TOLD_SHIFT:
+        return beams, None, 0.0
+    return still, None, drift
 
 
 def _is_corner(place: Place) -> bool:

@@ -16,6 +16,10 @@ from ctrl_rl_learning.offline.witness.record import Sightings
 Array = NDArray[np.float64]
 _BEAMS = 20_000
 """Number of beams that an offset is fitted to."""
+_PIECE, _BEAMS_OF_PIECE = 10, 600
+"""Number of scans over which a drift is as good as constant, and number of their beams that count."""
+_LEAP, _LEAP_TURN = 0.4, math.radians(15.0)
+"""Most that the offset of a piece differs from that of the piece before [m, rad]."""
 _ROUNDS = 12
 _FAR, _NEAR = 1.0, 0.05
 """Error of a range beyond which a beam does not count [m], and the scale beyond which it counts little."""
@@ -54,20 +58,33 @@ class Offset:
         x, y = self.shift
         return Offset((-x, -y), -self.turn, (self.about[0] + x, self.about[1] + y))
 
+    def places(self, points: Array) -> Array:
+        """Return points (n, 2) moved [m]."""
+        cos, sin = math.cos(self.turn), math.sin(self.turn)
+        x, y = (points - self.about).T
+        return np.stack((cos * x - sin * y, sin * x + cos * y), axis=1) + self.about + self.shift
+
     def moved(self, seen: Sightings) -> Sightings:
         """Return scans with their poses moved."""
-        cos, sin = math.cos(self.turn), math.sin(self.turn)
-        x, y = (seen.poses[:, :2] - self.about).T
-        places = np.stack((cos * x - sin * y, sin * x + cos * y), axis=1) + self.about + self.shift
-        poses = np.column_stack((places, wrap(seen.poses[:, 2] + self.turn)))
+        poses = np.column_stack((self.places(seen.poses[:, :2]), wrap(seen.poses[:, 2] + self.turn)))
         return replace(seen, poses=poses)
 
 
-def fit_offset(seen: Sequence[Sightings], walls: FileWalls) -> Offset:
-    """Return the shift and turn of all poses by which the scans fit a file's walls best, in robust least squares."""
-    few = [_thinned(each, _BEAMS // len(seen)) for each in seen]
+def fit_offset(seen: Sequence[Sightings], walls: FileWalls, begin: Offset | None = None, most: int = _BEAMS) -> Offset:
+    """Return the shift and turn of all poses by which the scans fit a file's walls best, in robust least squares.
+
+    Args:
+        seen: Scans.
+        walls: Walls of the file.
+        begin: Shift and turn to begin with; none unless given.
+        most: Number of beams that it is fitted to, about.
+    """
+    few = [_thinned(each, most // len(seen)) for each in seen]
     about = np.concatenate([each.poses[:, :2] for each in few]).mean(axis=0)
     offset = Offset((0.0, 0.0), 0.0, (float(about[0]), float(about[1])))
+    if begin is not None:
+        moved = begin.places(about[None])[0] - about
+        offset = Offset((float(moved[0]), float(moved[1])), begin.turn, offset.about)
     scale = 4.0 * _NEAR
     for _ in range(_ROUNDS):
         slopes, errors = [], []
@@ -94,6 +111,33 @@ def fit_offset(seen: Sequence[Sightings], walls: FileWalls) -> Offset:
         offset = Offset((offset.shift[0] + dx, offset.shift[1] + dy), offset.turn + turn, offset.about)
         scale = max(_NEAR, 0.7 * scale)
     return offset
+
+
+def without_drift(seen: Sightings, walls: FileWalls) -> tuple[Sightings, float]:
+    """Return scans at poses freed of a drift, and how far it moved nine tenths of them at most [m].
+
+    Odometry drifts: each few scans of an episode have an offset of their own, which is near to the one before.
+    """
+    poses, sizes = seen.poses.copy(), np.zeros(len(seen.poses))
+    for number in np.unique(seen.episodes):
+        rows, offset = np.flatnonzero(seen.episodes == number), None
+        for first in range(0, len(rows), _PIECE):
+            chosen = rows[first : first + _PIECE]
+            found = fit_offset([seen.rows(chosen)], walls, offset, _BEAMS_OF_PIECE)
+            if _follows(found, offset):  # else too little is seen here to tell
+                offset = found
+            if offset is None:
+                continue
+            poses[chosen] = offset.moved(seen.rows(chosen)).poses
+            sizes[chosen] = offset.size
+    return replace(seen, poses=poses), float(np.quantile(sizes, 0.9))
+
+
+def _follows(offset: Offset, before: Offset | None) -> bool:
+    """Return whether an offset is near to the one before, none at the beginning of an episode."""
+    shift, turn = (np.zeros(2), 0.0) if before is None else (before.places(np.array([offset.about]))[0], before.turn)
+    leap = np.array(offset.shift) - (shift if before is None else shift - offset.about)
+    return bool(np.hypot(*leap) < _LEAP and abs(offset.turn - turn) < _LEAP_TURN)
 
 
 def _thinned(seen: Sightings, most: int) -> Sightings:

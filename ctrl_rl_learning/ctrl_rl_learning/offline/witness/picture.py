@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_learning.offline.witness.account import Account, contradicting
+from ctrl_rl_learning.offline.witness.places import Place
 
 Array = NDArray[np.float64]
 _MOST_POINTS, _MOST_PATHS = 4000, 100
-_NAMED = 5
+_NAMED, _SAME_WALL = 5, 1.0
+"""Number of places with a word, and distance that they are apart [m]."""
 
 
 def draw_account(account: Account, path: Path) -> None:
@@ -37,9 +40,18 @@ def draw_account(account: Account, path: Path) -> None:
             ax.plot(*missing.T, ".", color=ROBOTS[2], markersize=2.5, zorder=5, label="beams pass the file's wall")
             for points in (shorter, missing):
                 _widen(ax, points)
-        for place in account.moved_walls[:_NAMED]:
+        for place in _apart(account.moved_walls)[:_NAMED]:
             word_at(ax, f"{place.off:.2f} m off" if place.kind == "unknown" else "not there", place.centre)
         legend_below(figure)
+
+
+def _apart(places: list[Place]) -> list[Place]:
+    """Return places without those beside one that more beams show: two sides of a wall that moved, most often."""
+    kept: list[Place] = []
+    for place in places:
+        if all(math.dist(place.centre, other.centre) > _SAME_WALL for other in kept):
+            kept.append(place)
+    return kept
 
 
 def _title(account: Account) -> str:

@@ -29,6 +29,8 @@ _PIECE = 0.1
 """Length of a piece of wall that beams vote on [m]."""
 _LOOK = 20
 """Number of scans of an episode that are one look: errors of the pose are the same in all of them."""
+_FAR_SIDE = 0.75
+"""Quantile of the distances at a place that is told: beside the file's wall a moved one begins at none."""
 _CONFIDENCE = 1.96
 _LEAST_CLEARANCE, _BESIDE = 0.2, 4
 """Distance from walls, of the file [m] and of the bag [cells], from which on a mover is told from a wrong pose."""
@@ -164,7 +166,7 @@ def _clusters(
         low, high = np.quantile(at[chosen], (0.02, 0.98), axis=0)
         (x, y), (wide, tall) = (0.5 * (low + high)).tolist(), (high - low).tolist()
         shown = _most_of(looks[chosen], other_looks[others == name])
-        distance, count = float(np.median(np.abs(off[chosen]))), int(chosen.sum())
+        distance, count = float(np.quantile(np.abs(off[chosen]), _FAR_SIDE)), int(chosen.sum())
         episodes = len(np.unique(beams.episodes[chosen]))
         out.append(Place(kind, (x, y), (wide, tall), distance, count, episodes, int(shown.sum()), len(shown)))
     return out
