@@ -1,4 +1,4 @@
-"""Bags to read, and messages to write into them."""
+"""Test bags and the messages written to them."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Starts and stops recorders as processes of their own."""
+"""Start and stop of recorders in separate processes."""
 
 import signal
 

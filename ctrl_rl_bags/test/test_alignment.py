@@ -1,4 +1,4 @@
-"""Aligning the topics of a bag in time."""
+"""Temporal alignment of a bag's topics."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ START = 1_700_000_000 * SECOND
 
 
 def write_drive(folder, stamp_offset=0, reset_at=None):
-    """Odometry at 50 Hz on a turning line, scans at 10 Hz, each with a beam more, commands at 20 Hz."""
+    """Odometry at 50 Hz on a curved path, scans at 10 Hz with one more beam each, commands at 20 Hz."""
     with BagWriter(folder) as bag:
         bag.add_topic(topic("/odom", "nav_msgs/msg/Odometry"))
         bag.add_topic(topic("/scan", "sensor_msgs/msg/LaserScan"))

@@ -34,7 +34,7 @@ def text(value):
 
 @pytest.fixture
 def bag(tmp_path):
-    """Two seconds: a latched map at once, 100 numbered ticks, and one topic of a type that is not installed."""
+    """Bag of two seconds: a latched map at the start, 100 numbered ticks, and one topic of a type not installed."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic(string_topic("/map", LATCHED))
         writer.add_topic(string_topic("/tick", QoSProfile(depth=10)))
@@ -48,7 +48,7 @@ def bag(tmp_path):
 
 
 class Listener:
-    """A node in a ROS domain of its own that notes when it heard what."""
+    """Node in a separate ROS domain that records messages and their arrival times."""
 
     def __init__(self, monkeypatch):
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -1,4 +1,4 @@
-"""Copies of bags with something added."""
+"""Copies of bags with additional messages."""
 
 from pathlib import Path
 

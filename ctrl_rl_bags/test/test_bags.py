@@ -1,4 +1,4 @@
-"""Bags: writing, reading with other libraries, mending."""
+"""Bags: writing, reading with other libraries, recovery."""
 
 import resource
 import shutil
@@ -124,7 +124,7 @@ class TestWriter:
         assert [m.data.data for m in read_messages(tmp_path / "bag")] == ["hello"]
 
     def test_write_error_leaves_a_whole_bag(self, tmp_path):
-        """A limit on the size of files stands in for a full disk: writes fail for real, in the middle of a chunk."""
+        """A file size limit simulates a full disk: writes really fail, in the middle of a chunk."""
         code = (
             "import os, sys; from ctrl_rl_bags import *\n"
             "bag = BagWriter(sys.argv[1])\n"

@@ -1,4 +1,4 @@
-"""Bags as genuine recorders of all ROS 2 distributions leave them: the files are believed, and what differs is told."""
+"""Bags from the recorders of all ROS 2 distributions: files take precedence over metadata; differences are reported."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ STORAGES = {"mcap": StoragePlugin.MCAP, "db3": StoragePlugin.SQLITE3}
 
 
 def write(folder: Path, storage: str, first: int = 0, count: int = COUNT, empty: bool = False) -> Path:
-    """Write a bag as rosbag2 does, and return its one file."""
+    """Write a bag in rosbag2's format and return its only file."""
     with Writer(folder, version=8, storage_plugin=STORAGES[storage]) as bag:
         talk = bag.add_connection("/talk", KIND, typestore=STORE)
         if empty:

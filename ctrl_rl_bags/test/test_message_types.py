@@ -1,4 +1,4 @@
-"""Message types by name, and names that come from nobody's friend."""
+"""Message types by name, including malicious names."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The recorder as a process, recording real publishers, stopped, refused and killed."""
+"""The recorder as a process with real publishers: stopped, rejected and killed."""
 
 import json
 import os
@@ -52,14 +52,14 @@ while True:
 
 
 def publish(start, name="sender", rate=300, count=300, reliability="RELIABLE"):
-    """Start a publisher, and wait until it has sent its note."""
+    """Start a publisher and wait until it has sent its message."""
     process = start("-c", PUBLISHER, name, rate, count, reliability)
     assert process.stdout.readline() == "noted\n"
     return process
 
 
 def wait_for(file, *words):
-    """Wait until a file holds some words."""
+    """Wait until a file contains the given text."""
     end = time.monotonic() + 120.0
     while not all(word in file.read_bytes() for word in words):
         assert time.monotonic() < end, words

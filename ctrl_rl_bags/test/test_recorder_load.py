@@ -1,4 +1,4 @@
-"""The recorder where much comes, the disk is slow, files are many, and topics change their type."""
+"""The recorder under load: high message rates, a slow disk, many files, and topics with changing types."""
 
 import os
 import tracemalloc
@@ -72,7 +72,7 @@ def string_topic(name):
 
 
 def largest_memory(process):
-    """Return the most memory that a process has had [bytes]."""
+    """Return the peak memory of a process [bytes]."""
     with open(f"/proc/{process.pid}/status", encoding="utf-8") as status:
         return next(int(line.split()[1]) << 10 for line in status if line.startswith("VmHWM"))
 

@@ -1,4 +1,4 @@
-"""Which command acted during which step: clocks, reception, periods, slow simulators, jumps; one reading for all."""
+"""Assignment of commands to steps: clocks, reception, periods, slow simulators, jumps; a consistent interpretation."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -142,7 +142,7 @@ def test_a_clock_that_is_off_is_named_and_log_times_go_round_it(
 
 
 def test_commands_of_two_nodes_in_a_fast_simulation_are_no_reset_of_a_clock(tmp_path: Path) -> None:
-    """A watchdog's zero and a driver's command, 0.7 s of simulation and less than 0.1 s of reception apart."""
+    """A watchdog's zero and a driver's command, 0.7 s of simulation time and under 0.1 s of reception time apart."""
 
     def out_of_order(time: int) -> int:
         return time + SECOND * 3 // 4 if time - START == 20 * STEP else time
@@ -192,7 +192,7 @@ def test_a_jump_of_the_odometry_parts_the_drive(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("twist", [0.0, 1e-12])
 def test_a_twist_of_zero_is_filled_by_the_motion_of_the_pose(twist: float, tmp_path: Path) -> None:
-    """A TurtleBot3 tells such a twist while it drives."""
+    """A TurtleBot3 reports such a twist while driving."""
     bag = write(tmp_path / "bag", twist=twist, jump_at=20)
     episodes, found = read(bag)
     told = f"{bag}: /odom: its twist is always zero: speeds are those of the pose's motion"

@@ -1,4 +1,4 @@
-"""Generates the shipped maps: `python ctrl_rl_navigation/test/generated_maps.py FOLDER`."""
+"""Generator of the shipped maps: `python ctrl_rl_navigation/test/generated_maps.py FOLDER`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def maze(seed: int = 3, rooms: tuple[int, int] = (9, 7), width: int = 16, wall: 
 
 
 def _open(cells: Cells, one: tuple[int, int], other: tuple[int, int], width: int, wall: int) -> None:
-    """Remove the wall between two neighbouring rooms of a maze."""
+    """Remove the wall between two adjacent cells of a maze."""
     pitch = width + wall
     bottom, top = sorted((one[0], other[0]))
     left, right = sorted((one[1], other[1]))

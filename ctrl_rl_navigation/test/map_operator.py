@@ -1,4 +1,4 @@
-"""Somebody who clicks goals and watches a navigator, and the room that it drives in; tests of its node share them."""
+"""Operator that sends goals and observes a navigator, and the room that it drives in; shared by tests of the node."""
 
 import time
 from collections.abc import Callable
@@ -22,7 +22,7 @@ START = np.array((0.5, 1.0, 2.0))
 
 
 class Operator:
-    """Clicks goals and watches what the navigator tells."""
+    """Operator that sends goals and observes the navigator's status."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("operator")
@@ -56,7 +56,7 @@ class Operator:
         self._goal.publish(message)
 
     def localise(self) -> None:
-        """Say that odometry has its origin in that of the map."""
+        """Publish a transform that puts the origin of odometry at that of the map."""
         message = TransformStamped(child_frame_id="odom")
         message.header.frame_id, message.transform.rotation.w = "map", 1.0
         self._tf.publish(TFMessage(transforms=[message]))
@@ -70,9 +70,9 @@ class Operator:
 
 
 def write_room(folder: Path, name: str = "room", *walls: tuple[slice, slice]) -> Path:
-    """Write the map of a room with a post in its middle, and more walls (rows, columns), and its task; return the map.
+    """Write a map of a room with a central post and additional walls (rows, columns), and its task; return the map.
 
-    The task is `{TASK_NAME}.yaml` beside it.
+    The task is `{TASK_NAME}.yaml` in the same folder.
     """
     cells = np.zeros((44, 64), np.int8)
     cells[:2], cells[-2:], cells[:, :2], cells[:, -2:], cells[17:25, 28:36] = (100,) * 5

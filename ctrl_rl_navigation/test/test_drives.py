@@ -1,4 +1,4 @@
-"""The navigator drives a simulated burger: to goals, past obstacles that the map has not, and not where it must not."""
+"""The navigator drives a simulated burger to goals and past unmapped obstacles, and never where it must not."""
 
 import math
 import time

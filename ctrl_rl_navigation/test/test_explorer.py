@@ -1,4 +1,4 @@
-"""What the explorer is made of: a map from scans, echoes that move, and roll-outs of a rectangular robot."""
+"""Components of the explorer: a map from scans, moving echoes, and roll-outs of a rectangular robot."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ OPTIONS = ExplorerOptions()
 
 
 def look(*posts: tuple[float, float], origin: tuple[float, float] = (0.0, 0.0), radius: float = 0.2) -> tuple:
-    """Return lidar's place, ends and echoes of a scan of round posts, to 5 m."""
+    """Return the lidar's position, beam ends and echoes of a scan of round posts, up to 5 m."""
     bearings = np.linspace(-math.pi, math.pi, 720, endpoint=False)
     ranges = np.full(720, 5.0)
     rays = np.column_stack((np.cos(bearings), np.sin(bearings)))
@@ -60,14 +60,14 @@ def test_only_what_moves_has_a_velocity() -> None:
 
 
 def posts_beside_a_gap(width: float) -> np.ndarray:
-    """Return echoes of two walls across the way, 1 m ahead, with a gap between them."""
+    """Return echoes of two walls across the path, 1 m ahead, with a gap between them."""
     along = np.linspace(0.5 * width, 3.0, 100)
     ys = np.concatenate((along, -along))
     return np.column_stack((np.full(len(ys), 1.0), ys))
 
 
 def expected_time(limits: DriveLimits, gap: float) -> float:
-    """Return the time that a look-ahead expects to a goal behind a gap."""
+    """Return a look-ahead's expected time to a goal behind a gap."""
     empty = OccupancyMap(np.zeros((80, 160), np.int8), 0.05, (-2.0, -2.0, 0.0))
     value = MapSolver(empty, limits).solve((4.0, 0.0), 0.3)
     ahead = LookAhead(limits, OPTIONS.period, OPTIONS.delay, OPTIONS.deceleration, OPTIONS.step, 2.5, 0.05)

@@ -1,4 +1,4 @@
-"""The launch file names executables that exist, and every topic of the RViz view is one that somebody publishes."""
+"""The launch file's executables exist, and every topic of the RViz view has a publisher."""
 
 import ast
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The time to reach on a map against geometry that can be said by hand."""
+"""The time to reach on a map against closed-form geometry."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ RADIUS = 0.1
 
 @pytest.fixture(scope="module")
 def two_rooms() -> OccupancyMap:
-    """Two rooms of 3 m by 4 m; the wall between them ends 1 m below the upper one. The right one has a closet."""
+    """Two rooms of 3 m by 4 m; the wall between them ends 1 m below the upper one, and the right one has a closet."""
     cells = np.zeros((80, 122), np.int8)
     cells[:60, 60:62] = 100
     cells[20:22, 100:], cells[:20, 100:102] = 100, 100

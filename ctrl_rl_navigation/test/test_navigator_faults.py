@@ -1,4 +1,4 @@
-"""What a navigator needs stops, dies, jumps or is replaced while it drives: it stands, says why, and goes on."""
+"""The navigator's inputs stop, die, jump or are replaced during a drive: it stops, reports why, and resumes."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -26,10 +26,10 @@ DRIVING, WAITING, REACHED = NavigatorStatus.DRIVING, NavigatorStatus.WAITING, Na
 
 
 class Saboteur(Operator):
-    """An operator through whose hands scans and the localiser's transform go, until it lets them drop.
+    """Operator that relays scans and the localiser's transform until told to drop them.
 
     Attributes:
-        sees: Whether scans are passed on.
+        sees: Whether scans are relayed.
         shift: Error of the localiser along x [m]; None while it is silent.
     """
 
@@ -64,7 +64,7 @@ class Saboteur(Operator):
             self._moving.publish(TFMessage(transforms=[message]))
 
     def wait_until_it_stands(self, why: str) -> None:
-        """Return once status and diagnostics say why the robot stands, and its last command is zero."""
+        """Return once status and diagnostics report why the robot stopped, and its last command is zero."""
         self.wait_for(WAITING, why)
         self.wait(lambda: why in self.diagnosed and self.command == (0.0, 0.0))
 
@@ -74,7 +74,7 @@ class Saboteur(Operator):
         self.wait(lambda: self.command != (0.0, 0.0))
 
     def serve(self, file: Path) -> None:
-        """Have the map server publish another map."""
+        """Make the map server publish another map."""
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(file))
         request = SetParameters.Request(parameters=[Parameter(name="map", value=value)])
         assert self.call(SetParameters, "map_server/set_parameters", request).results[0].successful
@@ -92,7 +92,7 @@ def saboteur() -> Iterator[Saboteur]:
 def test_whatever_is_missing_it_stands_says_why_and_goes_on(
     run_node: Callable, saboteur: Saboteur, tmp_path: Path
 ) -> None:
-    """One drive goes through all of it: to start the processes takes longer than the faults."""
+    """One drive goes through all faults, since starting the processes takes longer than the faults."""
     room = write_room(tmp_path)
     post = write_room(tmp_path, "post", (slice(30, 34), slice(40, 44)))
     closed = write_room(tmp_path, "closed", (slice(0, 44), slice(44, 48)))

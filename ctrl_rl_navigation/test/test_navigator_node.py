@@ -1,4 +1,4 @@
-"""The navigator as a real node beside the simulator: goals, cancelling, unreachable ones, and what it waits for."""
+"""The navigator as a real node with the simulator: goals, cancelling, unreachable goals, and waiting for inputs."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,7 +29,7 @@ def operator() -> Iterator[Operator]:
 
 @pytest.fixture
 def room(tmp_path: Path) -> Path:
-    """Write map and task of a room with a post in its middle."""
+    """Write the map and the task of a room with a post at its centre."""
     return write_room(tmp_path).parent
 
 

@@ -1,4 +1,4 @@
-"""The command that drives random goals: what it counts, what it writes, and what it refuses."""
+"""The command that drives random goals: its counts, its output, and rejected input."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ from ctrl_rl_core import OccupancyMap, read_results
 
 @pytest.fixture
 def closet(tmp_path: Path) -> Path:
-    """Write the map of a room of 2.5 m by 2 m with a closet of half its size that has no door."""
+    """Write the map of a room of 2.5 m by 2 m with a closed closet of half its size."""
     cells = np.zeros((44, 84), np.int8)
     cells[:2], cells[-2:], cells[:, :2], cells[:, -2:], cells[:, 52:54] = (100,) * 5
     OccupancyMap(cells, 0.05).save(tmp_path / "closet.yaml")

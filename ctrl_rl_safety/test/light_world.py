@@ -1,4 +1,4 @@
-"""A light world for property tests: discs that stand or move, a lidar, and a robot that is its own model."""
+"""Lightweight world for property tests: static and moving discs, a lidar, and a robot that matches its model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def roll_out(state: NDArray[np.float64], commands: NDArray[np.float64], motion: 
 
 
 class LightWorld:
-    """One robot at the origin, discs (x, y, vx, vy, radius), and a filter between raw commands and the robot."""
+    """Robot at the origin, discs (x, y, vx, vy, radius), and a filter between the raw commands and the robot."""
 
     def __init__(self, model: RobotModel, discs: NDArray[np.float64], safety: SafetyFilter, seed: int) -> None:
         self.model, self.safety = model, safety
@@ -53,8 +53,9 @@ class LightWorld:
         return np.column_stack((best * np.cos(_BEARINGS), best * np.sin(_BEARINGS)))[echo]
 
     def tick(self, raw: NDArray[np.float64], with_set: bool) -> tuple[Verdict, float, float]:
-        """Answer a command, go on for 0.06 s, and return the least clearance from what stands, and from what moves
-        while the robot does."""
+        """Filter a command, advance by 0.06 s, and return the minimum clearance from static discs, and from movers
+        while the robot moves.
+        """
         if self._ticks % 4 == 0:
             self.safety.see(self.time, self.state[:3].copy(), self.scan())
             self.safety.use(self.safety.solve() if with_set else None)
@@ -77,7 +78,7 @@ class LightWorld:
         return verdict, standing, moving
 
     def _away(self) -> NDArray[np.float64]:
-        """Return the distances of the discs' middles to the robot's core."""
+        """Return the distances from the discs' centres to the robot's core."""
         x, y, theta = self.state[:3]
         c, s = np.cos(theta), np.sin(theta)
         beside = np.abs((self._places() - (x, y)) @ np.array(((c, -s), (s, c)))) - self.model.core

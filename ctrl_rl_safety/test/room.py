@@ -1,4 +1,4 @@
-"""A robot in a square room for the node's tests: it follows cmd_vel, and sends odometry and scans with faults."""
+"""Robot in a square room for the node's tests: it follows cmd_vel and sends odometry and scans with faults."""
 
 import math
 import time
@@ -23,13 +23,13 @@ _STEP, _SCAN_S = 0.02, 0.1
 
 
 class Room:
-    """The robot, its room, and whoever sends raw commands.
+    """The robot, its room, and the source of raw commands.
 
     Attributes:
-        raw: Raw command that is sent all the time; None for none.
-        scan: Changes a scan before it is sent; returns None for none.
+        raw: Raw command that is sent continuously; None for none.
+        scan: Modifier of each scan before it is sent; returns None to drop it.
         odometry: The same for odometry.
-        commands: Commands that arrived at the robot.
+        commands: Commands received by the robot.
         told: Messages of the filter.
     """
 
@@ -54,7 +54,7 @@ class Room:
 
     @property
     def gap(self) -> float:
-        """Distance from the robot's middle to the nearest wall [m]."""
+        """Distance from the robot's centre to the nearest wall [m]."""
         return HALF - float(np.abs(self.state[:2]).max())
 
     def send_raw(self, v: float, omega: float) -> None:
@@ -64,7 +64,7 @@ class Room:
         self._raw.publish(message)
 
     def until(self, fits: Callable[[], bool], timeout: float = 120.0) -> None:
-        """Go on until something fits."""
+        """Run until a condition holds."""
         deadline = time.monotonic() + timeout
         while not fits():
             self._step()
@@ -72,7 +72,7 @@ class Room:
             assert time.monotonic() < deadline, (self.told[-1:], self.command, self.state)
 
     def until_told(self, mode: int, why: str = "") -> SafetyStatus:
-        """Go on until the filter tells a mode anew, with some words in its reason."""
+        """Run until the filter reports a mode in a new message, with given text in its reason."""
         self.told.clear()
         self.until(lambda: any(each.mode == mode and why in each.why for each in self.told))
         return next(each for each in self.told if each.mode == mode and why in each.why)
@@ -126,7 +126,7 @@ def _publish(publisher: Any, message: Any) -> None:
 
 
 def shifted(message: Any, seconds: float) -> Any:
-    """Return a message stamped earlier or later [s]."""
+    """Return a message with a shifted stamp [s]."""
     stamp = message.header.stamp
     message.header.stamp = to_stamp(stamp.sec * 10**9 + stamp.nanosec + round(1e9 * seconds))
     return message

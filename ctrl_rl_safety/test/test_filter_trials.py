@@ -1,4 +1,4 @@
-"""The command that counts contacts: what it counts, how it goes on, and what it refuses."""
+"""The command that counts contacts: counts, resuming, and rejected input."""
 
 import dataclasses
 import math

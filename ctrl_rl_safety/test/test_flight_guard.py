@@ -1,4 +1,4 @@
-"""The guard of planar quadrotors: what it predicts, what it lets through, and what it keeps from happening."""
+"""The guard of planar quadrotors: its predictions, the thrusts that it passes, and the crashes that it prevents."""
 
 import dataclasses
 import math
@@ -69,7 +69,7 @@ def test_room_is_a_lower_bound_of_the_engines_distance_and_exact_beside_a_wall()
 
 
 def test_the_edge_of_a_fall_that_it_can_stop_is_that_of_the_closed_form() -> None:
-    """Upright above a floor only the vertical motion is left: braking from v needs v^2 / 2a."""
+    """Upright above a floor, only the vertical motion remains: braking from v takes v^2 / 2a."""
     model = dataclasses.replace(MODEL, drag=0.0)
     guard, up = FlightGuard(model, (FLOOR,)), 2.0 * model.most / model.mass - model.gravity
     for speed in (1.0, 3.0, 6.0):

@@ -1,4 +1,4 @@
-"""The command that measures a robot: on a bag of a simulated one whose constants are known, and what it refuses."""
+"""The command that identifies a robot: on a bag of a simulated one with known constants, and rejected input."""
 
 import dataclasses
 from pathlib import Path
@@ -28,7 +28,7 @@ KINDS = {"/cmd_vel": "geometry_msgs/msg/Twist", "/odom": "nav_msgs/msg/Odometry"
 
 
 class Recording:
-    """A bag of commands and odometry."""
+    """Bag of commands and odometry."""
 
     def __init__(self, folder: Path, topics: tuple[str, ...] = tuple(KINDS)) -> None:
         self.writer, self._make = BagWriter(folder), MessageMaker()
@@ -45,7 +45,7 @@ class Recording:
 
 
 def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]], hold: float = 1.5) -> Path:
-    """Drive a simulated robot by commands, each for a time [s], and record it."""
+    """Drive a simulated robot with commands, each for a duration [s], and record it."""
     world = SimulatedWorld(
         room("boxes", "turtlebot2", dataclasses.replace(model, speed=1.0), 0),
         options=SimulationOptions(engine="planar", rate=200, motor_lag=MOTOR_LAG),

@@ -1,4 +1,4 @@
-"""Motion within a time step: limits by axis, and limits that two wheels share."""
+"""Motion within a time step: limits per axis, and limits coupled by two wheels."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_limits_by_axis_do_not_know_each_other() -> None:
 
 
 def farthest(v: float, accelerations: np.ndarray, step: float) -> float:
-    """Return how far a mover of a present speed has been from here, by its accelerations seen backwards (n,)."""
+    """Return the largest past distance of a mover of the present speed, by its accelerations backwards in time (n,)."""
     before = v - step * np.cumsum(accelerations)
     return float(np.abs(np.cumsum(step * (before + 0.5 * step * accelerations))).max())
 

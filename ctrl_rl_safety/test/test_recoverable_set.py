@@ -1,4 +1,4 @@
-"""The recoverable set beside braking in front of a wall, dense roll-outs, and a viability kernel by iteration."""
+"""The recoverable set against braking in front of a wall, dense roll-outs, and an iterated viability kernel."""
 
 import dataclasses
 import math
@@ -74,7 +74,7 @@ def test_a_rectangle_fits_lengthways_where_its_disc_does_not_and_not_crossways()
 
 
 def test_it_is_the_viability_kernel_that_an_iteration_over_all_accelerations_finds() -> None:
-    """Independent of the pass: speeds may rise, stay and fall, and values are taken until they change no more."""
+    """Independent of the single pass: speeds may rise, stay or fall, and values are iterated to convergence."""
     found = solve_set(obstacles_around(NONE, some_echoes(5), NONE, (0.0, 0.0), CELL), MODEL, GROWTH)
     nodes = found.values.shape[-1]
     gap = found.values[0, 0].astype(np.float64)

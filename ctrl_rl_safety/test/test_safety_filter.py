@@ -1,4 +1,4 @@
-"""Whatever the raw commands are, the robot touches nothing that stands, and no mover while it moves itself."""
+"""For any raw commands, the robot touches no static obstacle, and no mover while it moves itself."""
 
 import dataclasses
 import itertools
@@ -17,7 +17,7 @@ LEAST = 0.0
 
 
 def discs(random: np.random.Generator, radius: float, spread: float, movers: int, fastest: float) -> np.ndarray:
-    """Return discs around the origin that leave the robot some room, and movers that come near it."""
+    """Return discs around the origin that leave the robot some space, and movers that approach it."""
     out = []
     for _ in range(10):
         r, angle = random.uniform(0.05, 0.4), random.uniform(-math.pi, math.pi)
@@ -28,7 +28,7 @@ def discs(random: np.random.Generator, radius: float, spread: float, movers: int
 
 
 def mover(random: np.random.Generator, standing: np.ndarray, fastest: float) -> tuple[float, ...]:
-    """Return a disc that comes near the origin on a way that crosses nothing: inside of something it seems to stand."""
+    """Return a disc that approaches the origin clear of all other discs, since inside one it would seem static."""
     radius, times = 0.2, np.arange(0.0, 9.0, 0.05)[:, None]
     while True:
         angle, speed = random.uniform(-math.pi, math.pi), random.uniform(0.1, fastest)
@@ -49,7 +49,7 @@ def test_no_raw_command_brings_a_contact(robot: str, seed: int, movers: int, wit
 
 
 def least_clearances(robot: str, seed: int, movers: int, with_set: bool, full: bool) -> tuple[float, float]:
-    """Return the least clearance of a drive from what stands, and from what moves while the robot does."""
+    """Return the minimum clearances of a drive: from static discs, and from moving ones while the robot moves."""
     random, model = np.random.default_rng(seed), ROBOTS[robot]
     fastest = 0.6
     safety = SafetyFilter(model, FilterOptions(mover_speed=fastest if movers else 0.0, unblock_after=1.0))
@@ -197,7 +197,7 @@ def test_where_nothing_is_known_any_more_the_last_certified_escape_is_driven() -
 def test_what_nothing_certifies_goes_on_with_its_escape_unless_a_bound_does_not_hold(
     nearer: float, goes_on: bool
 ) -> None:
-    """A post seems nearer in the second scan: by as much as noise explains, or by more than any bound allows."""
+    """A post seems nearer in the second scan, by an amount within the noise or beyond every bound."""
     model, raw, pose = ROBOTS["jackal"], np.array((1.6, 1.0)), np.array((0.096, 0.0, 0.0))
     post = np.column_stack((np.full(9, 0.85), np.linspace(0.0, 0.3, 9)))
     safety = SafetyFilter(model)
@@ -226,7 +226,7 @@ def test_a_rectangle_that_stands_stops_turning_where_nothing_is_certified() -> N
 
 
 def test_a_disc_that_is_to_stand_is_not_turned_by_its_escape() -> None:
-    """Somebody comes near in a corridor: there is no certified escape, and no turn gives a disc more room."""
+    """A mover approaches in a corridor: no escape is certified, and turning a disc gains no clearance."""
     model = ROBOTS["turtlebot3_burger"]
     walls = [(x, y, 0.0, 0.0, 0.1) for x in np.arange(-1.0, 3.0, 0.1) for y in (-0.5, 0.5)]
     safety = SafetyFilter(model, FilterOptions(mover_speed=0.4, unblock_after=0.0))

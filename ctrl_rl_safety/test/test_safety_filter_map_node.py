@@ -1,4 +1,4 @@
-"""The filter as a real node with a map: what the map has never moves, and until it comes everything may."""
+"""The filter as a real node with a map: mapped obstacles are static; until the map arrives, all may move."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -28,7 +28,7 @@ def room() -> Iterator[Room]:
 
 
 def room_map(frame: str) -> OccupancyGrid:
-    """Return the map of the room, whose walls are one cell thick."""
+    """Return the map of the room, with walls one cell thick."""
     half = math.ceil(HALF / CELL) + 2
     middles = CELL * (np.arange(-half, half) + 0.5)
     away = np.maximum(np.abs(middles), np.abs(middles)[:, None])

@@ -1,4 +1,4 @@
-"""The filter as a real node before a real watchdog: commands pass, walls stop the robot, and so does each fault."""
+"""The filter as a real node with a real watchdog: commands pass; walls and every fault stop the robot."""
 
 import math
 import signal
@@ -42,7 +42,7 @@ def start_filter(run_shared_node: Callable[..., Any]) -> Callable[[], Any]:
 
 @pytest.fixture(scope="module")
 def chain(start_filter: Callable[[], Any], run_shared_node: Callable[..., Any], room: Room) -> Any:
-    """Give the filter, once commands pass through it and the watchdog."""
+    """Return the filter, once commands pass through it and the watchdog."""
     run_shared_node("ctrl_rl_core", "watchdog", "timeout:=0.4", remap=("cmd_vel_raw:=cmd_vel_safe",))
     node = start_filter()
     room.raw = (0.0, 0.3)

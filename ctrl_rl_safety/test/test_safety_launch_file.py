@@ -1,4 +1,4 @@
-"""The launch file names executables that exist, and its topics form the chain from the driver to the robot."""
+"""The launch file's executables exist, and its topics form the chain from the driver to the robot."""
 
 import ast
 from pathlib import Path

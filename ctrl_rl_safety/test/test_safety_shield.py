@@ -1,4 +1,4 @@
-"""The shield around a simulator of the test's own: no contact, whatever drives, where the same driver crashes bare."""
+"""The shield around an independent simulator: no contact with any driver, while the same driver crashes without it."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ BOUNDS = np.array(((-0.22, 0.22), (-2.84, 2.84)))
 
 
 class Room(gymnasium.Env):
-    """A unicycle among discs in a square room, by plain NumPy; actions in [-1, 1]."""
+    """Unicycle among discs in a square room, in plain NumPy; actions in [-1, 1]."""
 
     def __init__(self):
         self.observation_space = spaces.Box(-10.0, 10.0, (5 + len(BEARINGS),), np.float32)
@@ -68,7 +68,7 @@ def shielded(**changes):
 
 
 def contacts(environment, seeds, steps=150):
-    """Return how many episodes of a careless driver, who holds each random command for a second, end by a contact."""
+    """Return the number of episodes with a contact for a careless driver, which holds random commands for 1 s."""
     count = 0
     for seed in seeds:
         random = np.random.default_rng(seed)

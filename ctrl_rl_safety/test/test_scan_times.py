@@ -1,4 +1,4 @@
-"""Echoes of a lidar that turns while the robot does are where they are, and a scan that cannot be is refused."""
+"""Correct echo positions of a lidar on a turning robot, and rejection of impossible scans."""
 
 import math
 
@@ -16,7 +16,7 @@ V, OMEGA = 0.2, 2.0
 
 
 def odometry(time: float) -> Odometry:
-    """Return odometry of a robot that drives a circle."""
+    """Return odometry of a robot driving in a circle."""
     theta = OMEGA * time
     out = Odometry(child_frame_id="base")
     out.header.stamp.nanosec, out.header.frame_id = round(1e9 * time), "odom"

@@ -1,4 +1,4 @@
-"""What was never seen: it is told by the sight of scans, and a robot that must not does not drive into it."""
+"""Unseen space: determined from the scans, and avoided by a robot that must not drive into it."""
 
 import math
 from typing import Any
@@ -30,7 +30,7 @@ def test_a_cell_stays_seen_when_the_robot_has_gone_on_and_what_it_never_saw_stay
     sight = sight_of(np.full(181, np.inf, np.float32), HALF, 0.0)
 
     def behind(x: float) -> float:
-        """Return how far behind a robot at x the unseen begins [m]."""
+        """Return the distance behind a robot at x at which unseen space begins [m]."""
         edges = space.update(np.array((x, 0.0, 0.0)), sight)
         beside = edges[(np.abs(edges[:, 1]) < 0.1) & (edges[:, 0] < x)]
         return x - float(beside[:, 0].max(initial=-math.inf))

@@ -1,4 +1,4 @@
-"""The filter as a Gymnasium wrapper: no contact whatever the actions are, and what a learner is told of it."""
+"""The filter as a Gymnasium wrapper: no contact for any actions, and the information for a learner."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Which echoes are walls: of what has stood and is larger than any mover, without those of who leans on it."""
+"""Classification of echoes as walls: static and larger than any mover, excluding people who lean on a wall."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ RANDOM = np.random.default_rng(0)
 
 
 def walls(points: np.ndarray, known: np.ndarray, size: float) -> np.ndarray:
-    """Return which echoes of a first scan are of walls."""
+    """Return which echoes of a first scan belong to walls."""
     return Walls(size).update(0.0, points, known)
 
 
 def line(begin: tuple[float, float], end: tuple[float, float], spacing: float = 0.03) -> np.ndarray:
-    """Return places from begin to end, as a lidar with 1 cm of noise sees them."""
+    """Return points from start to end, as measured by a lidar with 1 cm of noise."""
     count = round(float(np.hypot(*np.subtract(end, begin))) / spacing)
     return np.linspace(begin, end, count) + RANDOM.normal(0.0, 0.01, (count, 2))
 

@@ -1,4 +1,4 @@
-"""What tests of the nodes share."""
+"""Fixtures shared by tests of the nodes."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def robot() -> Iterator[object]:
-    """Give the robot that a controller drives."""
+    """Return the robot driven by a controller."""
     from robot_side import Robot  # rclpy reads the tests' own domain when it is imported
 
     robot = Robot()
@@ -17,7 +17,7 @@ def robot() -> Iterator[object]:
 
 @pytest.fixture(scope="module")
 def short_episodes() -> Iterator[None]:
-    """Let the episodes of the control suite be short, and consolidation try few candidates."""
+    """Shorten the episodes of the control suite and reduce the candidates of consolidation."""
     import short_suite
 
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""A linear system and a policy that acts well in it with a model that is wrong: where everything can be known."""
+"""Linear system and a near-optimal policy with a wrong model, for tests with known results."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ GOAL = np.array([0.5, 0.0, 0.0])  # an equilibrium: A GOAL = GOAL
 
 
 class Line:
-    """x_{k+1} = A x_k + B u_k, to be brought to the goal within 60 steps; pays how near it is."""
+    """x_{k+1} = A x_k + B u_k, to reach the goal within 60 steps; the reward is for closeness to the goal."""
 
     def reset(self, *, seed: int | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         self._x, self._steps = GOAL + 0.4 * np.random.default_rng(seed).normal(size=3), 0
@@ -26,7 +26,7 @@ class Line:
 
 
 def learnt_controller() -> LatentController:
-    """Lift 3 states to 8 latent ones and regulate with a model that is wrong, as learning leaves it."""
+    """Lift 3 states to 8 latent ones and regulate with a wrong model, as learning may leave it."""
     random = np.random.default_rng(0)
     lift = random.normal(size=(8, 3))
     encoder = Encoder(

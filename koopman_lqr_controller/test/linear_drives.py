@@ -1,4 +1,4 @@
-"""Drives of linear systems that are known, and how far a model is from one."""
+"""Drives of known linear systems, and the distance of a model from the true one."""
 
 from collections.abc import Callable
 
@@ -28,7 +28,7 @@ def driven(true: LinearModel, law: Callable[[int, Array], Array], steps: int, be
 
 
 def distance(found: LinearModel, true: LinearModel, d: Array, e: Array) -> float:
-    """Return how far a model in other units is from the truth, relative to the larger entries of A and B."""
+    """Return the distance of a model in other units from the truth, relative to the larger entries of A and B."""
     A, B = found.A * d / d[:, None], found.B * e / d[:, None]
     return max(
         float(np.abs(A - true.A).max() / np.abs(true.A).max()), float(np.abs(B - true.B).max() / np.abs(true.B).max())

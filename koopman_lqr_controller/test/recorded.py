@@ -21,7 +21,7 @@ STEP = 200_000_000
 
 
 def build(kind: str, **fields):
-    """Return a message of zeros with some fields set; a dict is a message of its own."""
+    """Return a message of zeros with some fields set; a dict sets a nested message."""
     cls = STORE.types[kind]
     values = {}
     for name, (node, detail) in STORE.get_msgdef(kind).fields:
@@ -46,7 +46,7 @@ def twist(v: float, omega: float) -> dict:
 
 
 class Bag:
-    """A drive: at step k the robot turns at 0.1 k rad/s and the command is 0.01 k m/s."""
+    """Recorded drive: at step k the robot turns at 0.1 k rad/s and the command is 0.01 k m/s."""
 
     def __init__(self, folder: Path, kinds: dict[str, str]) -> None:
         self.folder, self.kinds = folder, kinds
@@ -90,7 +90,7 @@ class Bag:
             self.put("/cmd_vel", time, 2, **twist(*command))
 
     def mount(self, frame: str, rotation: dict) -> None:
-        """Say how the lidar is mounted on the robot."""
+        """Write the mounting pose of the lidar on the robot."""
         kind = "geometry_msgs/msg/TransformStamped"
         transform = {"rotation": rotation}
         header = {"frame_id": "base_link"}

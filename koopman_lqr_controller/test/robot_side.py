@@ -1,4 +1,4 @@
-"""The other side of the controller, and a policy to give it."""
+"""Counterpart of the controller, and a policy for it."""
 
 import time
 from array import array
@@ -19,11 +19,11 @@ from ctrl_rl_msgs.msg import LatentState
 from koopman_lqr_controller import Encoder, LatentController, LatentPolicy, LinearModel, RobotInterface
 
 PATIENCE_S = 120.0
-"""For an answer that comes in a millisecond where the machine has nothing else to do."""
+"""Timeout for an answer that takes a millisecond on an idle machine."""
 
 
 class Robot:
-    """The other side of the controller: publishes scans and odometry, keeps the commands."""
+    """Counterpart of the controller: publishes scans and odometry, and records the commands."""
 
     def __init__(self, stamped: bool = True) -> None:
         rclpy.init()
@@ -70,7 +70,7 @@ class Robot:
         self.scan.publish(scan)
 
     def thought_of(self, nanoseconds: int, seconds: float = 5.0) -> LatentState:
-        """Return what the controller thought of a scan."""
+        """Return the controller's diagnostics of a scan."""
         stamp = to_stamp(nanoseconds)
 
         def found() -> list[LatentState]:

@@ -1,4 +1,4 @@
-"""Updates of the agent: which loss moves what, what it acts and deploys."""
+"""Updates of the agent: the parameters moved by each loss, its actions, and its deployed policy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`analyse` from a policy file to a page: all parts where there is a world, and a line for each that there is not."""
+"""`analyse` from a policy file to a page: all parts with an environment, and a line for each part without one."""
 
 import json
 from dataclasses import replace

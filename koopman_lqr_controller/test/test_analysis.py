@@ -1,4 +1,4 @@
-"""Control theory of linear models against closed forms and against what defines it."""
+"""Control theory of linear models against closed forms and definitions."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_a_linear_system_is_its_own_linearisation(n: int, m: int, seed: int) -> 
 
 
 def test_a_pendulum_upright_has_the_poles_of_its_matrix_exponential() -> None:
-    """theta'' = theta near the top: exp(+-dt)."""
+    """theta'' = theta near the upright position: exp(+-dt)."""
 
     def step(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         for _ in range(400):

@@ -1,4 +1,4 @@
-"""A drive has an end: the episode's, or the distance that the user allows."""
+"""End of a drive: the end of the episode, or the distance limit set by the user."""
 
 import time
 from collections.abc import Callable
@@ -52,7 +52,7 @@ def test_a_real_robot_stands_after_the_distance_that_it_may_drive(robot: Robot, 
 def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
     robot: Robot, run_node: Callable
 ) -> None:
-    """The real bridge and the real controller, started by hand."""
+    """The real bridge and the real controller, started manually."""
     truth: list[tuple[float, float, float]] = []
     ended: list[EpisodeStatus] = []
 

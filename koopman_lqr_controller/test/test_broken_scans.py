@@ -1,4 +1,4 @@
-"""The controller as a process on scans that are no knowledge, and before obstacles: zeros, and the reason is said."""
+"""The controller as a process with invalid scans and with obstacles: zero commands and a reported reason."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -16,12 +16,12 @@ from test_controller_guards import diagnosed
 BOTH = ("curved_corridor", "curved_corridor_edmd")
 LEARNT = BOTH[:1]
 STAMPS = count(1)
-"""Of scans: the tests share a controller, and each scan is another one."""
+"""Stamps of scans: the tests share a controller, so each scan needs a new one."""
 
 
 @pytest.fixture(scope="module")
 def robot(request: pytest.FixtureRequest, run_shared_node: Callable) -> Iterator[Robot]:
-    """Give the robot of a controller with this policy; without the region's guard, as scans alone are looked at."""
+    """Return the robot of a controller with this policy; the region guard is off, since only scans are tested."""
     robot = Robot()
     policy = f"policy:={request.param}"
     node = run_shared_node("koopman_lqr_controller", "controller", policy, "scan_timeout:=5.0", "largest_distance:=0.0")
@@ -62,7 +62,7 @@ def test_it_stands_on_a_broken_scan_says_why_and_goes_on_with_the_next_good_one(
 @pytest.mark.fault
 @pytest.mark.parametrize("robot", BOTH, indirect=True)
 def test_a_wall_ahead_stops_it_whatever_the_policy_wants(robot: Robot) -> None:
-    """Without the region's guard: what is left is the obstacle stop."""
+    """Without the region guard, only the obstacle stop remains."""
     stamp = next(STAMPS)
     bearing = np.arange(360) * 2 * np.pi / 360
     wall = np.where(np.cos(bearing) > 0, 0.17 / np.maximum(np.cos(bearing), 1e-6), np.inf)

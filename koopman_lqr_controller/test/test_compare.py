@@ -1,4 +1,4 @@
-"""The comparisons of thesis 4.3: all that they name is there; at a tiny budget they run, share runs, and are drawn."""
+"""The comparisons of thesis 4.3: complete; on a tiny budget they run, share runs, and are plotted."""
 
 import json
 import shlex
@@ -63,7 +63,7 @@ def test_a_few_methods_can_be_compared_and_each_says_how_to_learn_it_again(tmp_p
 
 
 def result(*points: tuple[float, float]) -> dict:
-    """Return a run whose evaluations had these returns and model errors."""
+    """Return a run with the given returns and model errors of its evaluations."""
     curve = [
         {"steps": 10 * number, "returns": {"a": value, "b": -1.0}, "model_errors": {"a": error, "b": 1.0}}
         for number, (value, error) in enumerate(points, 1)

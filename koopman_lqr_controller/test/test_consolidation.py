@@ -1,4 +1,4 @@
-"""Consolidation on a linear system, where everything can be known."""
+"""Consolidation on a linear system with known results."""
 
 from dataclasses import replace
 

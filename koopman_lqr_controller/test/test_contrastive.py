@@ -1,4 +1,4 @@
-"""InfoNCE by closed forms, and augmentations within their bounds."""
+"""InfoNCE against closed forms, and augmentations within their bounds."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The controller as a process, when it must not drive: guards, another policy while it drives, dry runs."""
+"""The controller as a process in situations where it must not drive: guards, policy changes, dry runs."""
 
 import math
 import time
@@ -39,7 +39,7 @@ def learnt(path: Path, distribution: LatentDistribution | None) -> LatentPolicy:
 
 
 def set_parameter(robot: Robot, name: str, value: object) -> tuple[bool, str]:
-    """Do what `ros2 param set` does, and return whether it was taken, and why not."""
+    """Set a parameter as `ros2 param set` does; return whether it was accepted, and the reason if not."""
     client = robot.node.create_client(SetParameters, "koopman_lqr_controller/set_parameters")
     assert robot.spin(PATIENCE_S, client.service_is_ready)
     future = client.call_async(SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()]))
@@ -50,7 +50,7 @@ def set_parameter(robot: Robot, name: str, value: object) -> tuple[bool, str]:
 
 
 def set_parameters_atomically(robot: Robot, **values: object) -> bool:
-    """Return whether all were taken."""
+    """Return whether all parameters were accepted."""
     client = robot.node.create_client(SetParametersAtomically, "koopman_lqr_controller/set_parameters_atomically")
     assert robot.spin(PATIENCE_S, client.service_is_ready)
     wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
@@ -61,13 +61,13 @@ def set_parameters_atomically(robot: Robot, **values: object) -> bool:
 
 
 def seen(ranges: np.ndarray) -> tuple[np.ndarray, ScanGeometry]:
-    """Return what a LaserScan makes of the robot's ranges and their geometry."""
+    """Return a LaserScan's version of the robot's ranges and their geometry."""
     increment, least = np.float32([2 * np.pi / len(ranges), 0.12]).tolist()
     return ranges.astype(np.float32), ScanGeometry(len(ranges), 0.0, increment, least, 3.5)
 
 
 def diagnosed(robot: Robot, words: str, seconds: float = 10.0) -> DiagnosticStatus:
-    """Return the first diagnostics of the controller that say this, in the message or in a value."""
+    """Return the controller's first diagnostics that contain a text, in the message or in a value."""
     heard: list[DiagnosticStatus] = []
     listen = robot.node.create_subscription(
         DiagnosticArray, "diagnostics", lambda message: heard.extend(message.status), 10
@@ -116,7 +116,7 @@ def test_outside_what_training_saw_it_stops_says_so_and_recovers(
 def test_a_prediction_error_that_stays_high_stops_it_until_the_world_is_as_predicted(
     robot: Robot, run_node: Callable, tmp_path: Path
 ) -> None:
-    """The world jumps with every scan, then stands still as the model says that it does."""
+    """The scans jump at every step, then remain constant as the model predicts."""
     file = tmp_path / "policy.safetensors"
     policy = learnt(file, None)
     still = replace(
@@ -178,7 +178,7 @@ def test_stale_scans_are_said_in_latent_and_diagnostics(robot: Robot, run_node: 
 def test_another_policy_drives_from_the_next_scan_on_and_a_bad_one_is_refused(
     robot: Robot, run_node: Callable, tmp_path: Path
 ) -> None:
-    """While scans come as quickly as they are answered: each is, by the one or by the other, whole."""
+    """With scans arriving as fast as they are answered, each is answered entirely by one of the two policies."""
     file = tmp_path / "other.safetensors"
     other = learnt(file, ANYWHERE)
     save_policy(a_policy(17, None), tmp_path / "cheetah.safetensors")

@@ -1,4 +1,4 @@
-"""The controller as a process: commands for scans, a halt when in doubt, a clean end."""
+"""The controller as a process: commands for scans, a stop in case of doubt, a clean shutdown."""
 
 import signal
 import time
@@ -99,7 +99,7 @@ def test_a_policy_of_another_robot_ends_it_with_one_clear_message(run_node: Call
 def test_a_prediction_is_held_against_the_scan_that_it_was_made_for(
     robot: Robot, run_node: Callable, tmp_path: Path
 ) -> None:
-    """Neither across a halt, nor a scan that comes at another time than the model's step."""
+    """Not across a stop, nor with a scan at another time than one model step later."""
     observation = LidarObservation(count=12)
     robot_interface = RobotInterface(observation, np.array([0.0, -1.5]), np.array([0.22, 1.5]))
     save_policy(a_policy(len(observation.names), robot_interface), tmp_path / "corridor.safetensors")

@@ -1,4 +1,4 @@
-"""What the controller watches besides its scans: wall time where the simulated clock stands, and who else commands."""
+"""Further checks of the controller: wall time while the simulated clock is paused, and other command publishers."""
 
 import time
 from collections.abc import Callable

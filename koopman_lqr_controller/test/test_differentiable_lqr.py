@@ -72,7 +72,7 @@ def test_torch_and_numpy_agree(seed: int, iterations: int) -> None:
 @settings(deadline=None, max_examples=30)
 @given(SEEDS, st.integers(1, 4))
 def test_it_is_the_first_control_of_the_finite_horizon_optimum(seed: int, iterations: int) -> None:
-    """The best of all control sequences, by one linear system: independent of any recursion."""
+    """Minimum over all control sequences by one linear system, independent of any recursion."""
     given = problem(seed, n=4, m=2)
     A, B, Q, R, z_ref = (given[name] for name in ("A", "B", "Q", "R", "z_ref"))
     z0, steps = np.random.default_rng(seed).normal(size=4), iterations + 1

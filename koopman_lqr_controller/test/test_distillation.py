@@ -1,4 +1,4 @@
-"""Coordinates of its own for a learnt policy: on a system that is linear in coordinates that are known."""
+"""New coordinates for a learnt policy, on a system that is linear in known coordinates."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,9 +18,9 @@ GOAL = np.zeros(2)
 
 
 class SlowManifold:
-    """A textbook system of Koopman theory: x_1' = 0.95 x_1 + 0.1 u, x_2' = 0.8 x_2 + 0.15 x_1^2.
+    """Standard example of Koopman theory: x_1' = 0.95 x_1 + 0.1 u, x_2' = 0.8 x_2 + 0.15 x_1^2.
 
-    Linear in x_1, x_2 and x_1^2 but for the controls, and in no two coordinates.
+    Linear in x_1, x_2 and x_1^2 except for the controls, and in no two coordinates.
     """
 
     def reset(self, *, seed: int | None = None) -> tuple[np.ndarray, dict[str, Any]]:
@@ -35,7 +35,7 @@ class SlowManifold:
 
 
 def learnt_controller() -> LatentController:
-    """Return what acts well with a model that is of no use, as learning leaves it."""
+    """Return a policy that acts well but has a useless model, as learning may leave it."""
     features = np.array([[1.0, 0.0], [0.5, 1.0], [-1.0, 0.4]], np.float32)
     encoder = Encoder(
         (Dense(features, np.zeros(3, np.float32), False),), (2,), np.zeros(2, np.float32), np.ones(2, np.float32)
@@ -108,7 +108,7 @@ def test_the_same_seed_gives_the_same(episodes) -> None:
 
 
 class NearGoal(SlowManifold):
-    """The same from a tenth as far: only noise moves it far."""
+    """The same with starts a tenth as far away, where only noise causes large excursions."""
 
     def reset(self, *, seed: int | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)

@@ -1,4 +1,4 @@
-"""Koopman policies drive by the policy node of the core, too: the same commands, and a stop outside of training."""
+"""Koopman policies in the core's policy node: the same commands, and a stop outside of the training region."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""EDMD against systems whose Koopman model is known, and the regulator against independent solutions."""
+"""EDMD against systems with known Koopman models, and the regulator against independent solutions."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_a_linear_system_is_recovered(n: int, m: int, seed: int) -> None:
 
 
 def test_the_slow_manifold_becomes_linear_in_its_koopman_coordinates() -> None:
-    """x1' = a x1, x2' = b x2 + (a^2 - b) x1^2 + u is linear in (x1, x2, x1^2): a golden case of Koopman theory."""
+    """x1' = a x1, x2' = b x2 + (a^2 - b) x1^2 + u is linear in (x1, x2, x1^2): a standard example of Koopman theory."""
     a, b = 0.9, 0.5
     random = np.random.default_rng(0)
     x, u = random.uniform(-1, 1, (200, 2)), random.uniform(-1, 1, (200, 1))
@@ -68,7 +68,7 @@ def test_too_few_or_broken_snapshots_are_refused() -> None:
 
 
 def test_the_scalar_regulator_is_the_closed_form() -> None:
-    """p = q + a^2 p - (a b p)^2 / (r + b^2 p), solved by hand for a = 1.2, b = 1, q = r = 1."""
+    """p = q + a^2 p - (a b p)^2 / (r + b^2 p), solved analytically for a = 1.2, b = 1, q = r = 1."""
     a, b, q, r = 1.2, 1.0, 1.0, 1.0
     p = (a**2 * r + q * b**2 - r + np.sqrt((a**2 * r + q * b**2 - r) ** 2 + 4 * q * r * b**2)) / (2 * b**2)
     regulator = solve_lqr(LinearModel(np.array([[a]]), np.array([[b]])), np.array([[q]]), np.array([[r]]))

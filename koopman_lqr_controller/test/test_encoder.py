@@ -1,4 +1,4 @@
-"""The deployed encoder computes what the learnt one does, without torch."""
+"""The deployed encoder computes the same as the learnt one, without torch."""
 
 import json
 
@@ -65,7 +65,7 @@ def test_an_unknown_layer_is_named() -> None:
 
 
 def test_what_makes_it_quick_changes_no_bit() -> None:
-    """One observation, by the plain formulas."""
+    """A single observation, by the plain formulas."""
     random = np.random.default_rng(2)
     weights = [random.normal(size=shape).astype(np.float32) for shape in ((64, 38), (50, 64))]
     scale, shift = (random.normal(size=50).astype(np.float32) for _ in range(2))

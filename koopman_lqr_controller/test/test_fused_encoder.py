@@ -1,4 +1,4 @@
-"""The encoder in few steps gives what the encoder gives."""
+"""The fused encoder gives the same results as the original one."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_it_is_the_same_up_to_rounding(seed: int, kinds: list[str], reduced: boo
 
 
 def test_what_is_linear_together_is_one_matrix() -> None:
-    """Of three dense layers, a norm and a projection: one product before the norm and one after it."""
+    """Three dense layers, a norm and a projection become one product before the norm and one after it."""
     one = np.ones(3, np.float32)
     dense = Dense(2.0 * np.eye(3, dtype=np.float32), 0 * one, False)
     encoder = Encoder((dense, dense, LayerNorm(2 * one, one), dense), (3,), one, 2 * one)

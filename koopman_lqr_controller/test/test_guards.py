@@ -1,4 +1,4 @@
-"""When a robot is stopped, and when it goes on: patience, hysteresis, clocks, each guard turned off."""
+"""Stops and restarts of a robot: patience, hysteresis, clocks, and each guard disabled."""
 
 import math
 
@@ -100,7 +100,7 @@ def test_guards_can_be_turned_off_and_are_off_where_nothing_is_known(off: Guard)
 
 
 def paces(retries: Retries, alarms: dict[int, bool], seconds: int) -> list[float]:
-    """Return the pace of each second; an alarm holds until the next entry says otherwise."""
+    """Return the pace of each second; an alarm holds until the next entry changes it."""
     out, alarm = [], False
     for now in range(seconds):
         alarm = alarms.get(now, alarm)
@@ -110,7 +110,7 @@ def paces(retries: Retries, alarms: dict[int, bool], seconds: int) -> list[float
 
 @pytest.mark.fault
 def test_an_alarm_that_standing_cannot_end_is_tried_again_slowly_and_not_for_ever() -> None:
-    """Ten seconds of standing, then three of creeping, twice; then it stands for good."""
+    """Ten seconds of standing, then three of creeping, twice; then it stands permanently."""
     seen = paces(Retries(wait=10.0, most=2), {0: True}, 100)
     assert seen[:10] == [0.0] * 10
     assert seen[10:13] == [RETRY_SCALE] * 3

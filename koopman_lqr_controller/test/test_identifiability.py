@@ -1,4 +1,4 @@
-"""A fit tells the true system, or it refuses: no third outcome, in whatever units and under whatever control."""
+"""A fit returns the true system or fails, with no third outcome, in any units and with any control."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def units(random: np.random.Generator, size: int) -> Array:
 def told_or_refused(
     data: Snapshots, fitted: Fit, true: LinearModel, random: np.random.Generator, within: float = 1e-6
 ) -> bool:
-    """Return whether a fit tells the truth, in units of any size; it fails where it tells anything else."""
+    """Return whether a fit is correct, in any units; the test fails if it returns a wrong system."""
     d, e = units(random, len(true.A)), units(random, true.B.shape[1])
     try:
         found = fitted(in_units(data, d, e))
@@ -76,7 +76,7 @@ def test_feedback_alone_is_refused(fitted: Fit, n: int, m: int, seed: int) -> No
 @settings(deadline=None, max_examples=40)
 @given(n=st.integers(1, 5), power=st.floats(-3.0, 6.0), seed=SEEDS)
 def test_states_around_an_offset_are_told_or_refused(n: int, power: float, seed: int) -> None:
-    """Of z + c a model has the drift (I - A) c, which `fit` has no place for, and the other fit has."""
+    """A model of z + c has the drift (I - A) c, which `fit` cannot represent but `shrunk` can."""
     random = np.random.default_rng(seed)
     true, offset = some_system(random, n, 1), 10.0**power * random.normal(size=n)
     data = driven(true, lambda _, __: random.normal(size=1), 200, random.normal(size=n))
@@ -100,7 +100,7 @@ def test_a_position_far_from_the_origin_is_no_drift() -> None:
 def test_a_regulator_of_noisy_feedback_stabilises_the_true_system_or_is_refused(
     fitted: Fit, noise: float, dither: float
 ) -> None:
-    """Noise of the sensors looks like a dither of a control that follows them, and has no effect."""
+    """Sensor noise looks like dither on a control that follows the sensors, but has no such effect."""
     true, K = LinearModel(np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])), np.array([[1.0, 1.5]])
     told = 0
     for seed in range(5):

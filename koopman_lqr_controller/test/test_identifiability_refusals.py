@@ -1,4 +1,4 @@
-"""What a fit refuses, what it takes, and what a lifting may hold."""
+"""Data rejected and accepted by a fit, and the contents of a lifting."""
 
 import re
 
@@ -94,7 +94,7 @@ def test_the_ridge_damps_noise_and_stays_out_where_there_is_none() -> None:
 
 
 def test_a_lifting_s_ridge_that_hides_a_control_is_refused() -> None:
-    """Where the ridge has to stay, controls must be larger than it is."""
+    """If the ridge must remain, controls must be larger than it."""
     K, own = np.array([[0.3, 0.2]]), 0.01 * np.random.default_rng(1).normal(size=(400, 1))
     true = LinearModel(TRUE.A, TRUE.B[:, :1])
     data = driven(true, lambda k, z: -K @ z + own[k] * np.abs(z).max(), 400, np.ones(2))
@@ -130,7 +130,7 @@ def test_two_stages_refuse_a_drive_that_never_turns() -> None:
 
 
 def test_two_controls_that_follow_the_state_are_both_looked_at() -> None:
-    """Here the first one's own part is the smaller but told; that of the second drowns in noise."""
+    """The first control's own part is smaller but identifiable; that of the second is below the noise."""
     random = np.random.default_rng(1)
     z, own, noise = random.normal(size=(3, 400, 2))
     u = z + own * [0.01, 0.02]

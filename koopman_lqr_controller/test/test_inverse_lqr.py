@@ -1,4 +1,4 @@
-"""Which cost makes a law optimal: gradients, and laws whose cost is known."""
+"""Costs that make a law optimal: gradients, and laws with known costs."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Pictures of learning Koopman policies, and of their analysis."""
+"""Figures of learning Koopman policies and of their analysis."""
 
 import json
 

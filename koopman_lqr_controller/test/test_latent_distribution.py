@@ -1,4 +1,4 @@
-"""What training saw: distances, borders, and their way through a policy file."""
+"""Training distribution: distances, boundaries, and storage in a policy file."""
 
 from dataclasses import replace
 from pathlib import Path

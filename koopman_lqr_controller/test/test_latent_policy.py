@@ -1,4 +1,4 @@
-"""Learnt policies: what they compute, what they refuse, and their files."""
+"""Learnt policies: their computation, rejected input, and files."""
 
 import subprocess
 import sys
@@ -71,14 +71,14 @@ def test_the_gain_is_that_of_scipys_riccati_equation() -> None:
 
 
 def slopes(loop, z: np.ndarray) -> np.ndarray:
-    """Return the Jacobian of a map by central differences."""
+    """Return the Jacobian of a function by central differences."""
     steps = 1e-5 * np.eye(len(z))
     return np.stack([(loop(z + step) - loop(z - step)) / 2e-5 for step in steps], axis=1)
 
 
 @pytest.mark.parametrize("reduced", [False, True])
 def test_the_loop_as_it_is_deployed_has_the_poles_that_it_claims(reduced: bool) -> None:
-    """Also where what holds the reference is not zero: what saturates it must not bend the loop there."""
+    """Also for a nonzero reference control: its saturation must not change the loop there."""
     controller = some_controller(reduced=reduced)
     loop = slopes(lambda z: controller.predict(z, controller.saturate(controller.control(z))), controller.z_ref)
     assert np.abs(np.linalg.eigvals(loop)).max() == pytest.approx(controller.spectral_radius, rel=1e-6)
@@ -114,7 +114,7 @@ def test_commands_stay_within_limits_and_predictions_follow_the_model(horizon: i
 @pytest.mark.parametrize("given", [{}, {"horizon": 5}, {"reduced": True}])
 @pytest.mark.parametrize("inclusive", [False, True])
 def test_a_decision_is_what_the_controller_does_step_by_step(given: dict[str, object], inclusive: bool) -> None:
-    """Whatever makes it quick; an inclusive encoder cannot be made quick."""
+    """For all optimised paths; an inclusive encoder has none."""
     policy = some_policy(**given)
     if inclusive:
         encoder, projection = replace(policy.controller.encoder, inclusive=True), policy.controller.projection
@@ -237,7 +237,7 @@ def test_a_file_that_lacks_something_gives_one_clear_error(tmp_path: Path) -> No
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 1000), st.integers(200, 800))
 def test_the_observation_hardly_depends_on_the_count_of_beams(seed: int, beams: int) -> None:
-    """A wall all around at a distance that changes slowly with bearing, seen by lidars of different kinds."""
+    """A wall on all sides whose distance varies slowly with bearing, measured by lidars of different kinds."""
     phase = np.random.default_rng(seed).uniform(0, 2 * np.pi)
 
     def seen(count: int) -> np.ndarray:

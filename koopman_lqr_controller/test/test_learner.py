@@ -1,4 +1,4 @@
-"""Learning with the real thing on a tiny budget: it resumes exactly, and leaves a policy that needs no torch."""
+"""Learning end to end on a tiny budget: it resumes exactly and leaves a policy that needs no torch."""
 
 import os
 import signal
@@ -36,7 +36,7 @@ def options(folder: Path, chunks: int = 3) -> RunOptions:
 
 
 def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
-    """Return everything that the run leaves, but for what it took."""
+    """Return all results of the run except for the time and memory used."""
     result = read_json(result_file(folder, run))
     for point in result["curve"]:
         del point["seconds"], point["cpu_seconds"]
@@ -46,14 +46,14 @@ def learnt(folder: Path, run: LearningRun = RUN) -> tuple[dict, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
-    """Give the folder of a whole run, its result, and what it said."""
+    """Return the folder of a complete run, its result, and its output."""
     folder, said = tmp_path_factory.mktemp("whole"), []
     result = train(RUN, options(folder), lambda run, done, best: said.append((run.name, done, best)))
     return folder, result, said
 
 
 class CutOffError(Exception):
-    """Stands for a kill between two chunks."""
+    """Simulated kill between two chunks."""
 
 
 def cut_off(*_: object) -> None:
@@ -122,7 +122,7 @@ def test_what_cannot_be_learnt_is_refused(run: LearningRun, words: str, tmp_path
 
 
 def test_a_run_that_was_cut_off_ends_bit_by_bit_as_if_it_had_not_been(whole: tuple, tmp_path: Path) -> None:
-    """Between chunks, and after the last of them."""
+    """Interrupted between chunks, and after the last of them."""
     cut, told = tmp_path / "cut", []
 
     def cut_off_after_one_more(_: object, done: int, __: object) -> None:

@@ -1,4 +1,4 @@
-"""The regulator against SciPy's in any units, and each problem that has none, refused by name."""
+"""The regulator against SciPy's in any units, and each unsolvable problem, rejected with its cause."""
 
 import re
 
@@ -62,7 +62,7 @@ def test_balanced_units_go_along_with_any_others(n: int, m: int, seed: int) -> N
 @settings(deadline=None, max_examples=40)
 @given(n=st.integers(2, 6), hundredths=st.integers(100, 300), seed=SEEDS)
 def test_a_mode_that_no_control_moves_is_named(n: int, hundredths: int, seed: int) -> None:
-    """In coordinates in which it takes part in every state, so that no zero shows it."""
+    """In coordinates where the mode takes part in every state, so that no zero entry reveals it."""
     random = np.random.default_rng(seed)
     T, pole = np.linalg.qr(random.normal(size=(n, n)))[0], hundredths / 100.0
     A = np.diag(np.concatenate(([pole], random.uniform(-0.9, 0.9, n - 1))))
@@ -153,7 +153,7 @@ def test_what_has_a_regulator_is_no_special_case() -> None:
 @settings(deadline=None, max_examples=30)
 @given(seed=SEEDS)
 def test_a_weak_control_of_a_growing_mode_is_a_matter_of_units(seed: int) -> None:
-    """A mode that a control of 1e-9 moves is refused by no absolute tolerance, and its loop is stable."""
+    """A mode with a control gain of 1e-9 is not rejected by an absolute tolerance, and its closed loop is stable."""
     random = np.random.default_rng(seed)
     reach = 10.0 ** random.uniform(-9.0, 0.0)
     found = solve_lqr(LinearModel(np.diag([1.1, 0.5]), np.array([[reach], [1.0]])), np.diag([reach**-2, 1.0]), R)

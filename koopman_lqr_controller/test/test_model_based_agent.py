@@ -1,4 +1,4 @@
-"""Updates of the agent whose values see what a model makes of observations: which loss moves what, and the goals."""
+"""Updates of the agent with values on model features: the parameters moved by each loss, and the targets."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -27,7 +27,7 @@ def some_agent(goal: np.ndarray | None = None, device: str = "cpu", **changes: o
 
 
 def lived(agent: ModelBasedAgent, steps: int = 60, seed: int = 0) -> SequenceReplay:
-    """Return a replay with an episode at random, whose observations the agent met."""
+    """Return a replay with a random episode whose observations the agent has processed."""
     random = np.random.default_rng(seed)
     replay = agent.make_replay(INTERFACE, 1000)
     for _ in range(steps):
@@ -150,7 +150,7 @@ def test_all_encoders_scale_what_is_observed_alike() -> None:
 
 
 def test_stretches_are_mirrored_where_a_task_has_a_symmetry() -> None:
-    """The symmetry changes the sign of u_0; about half of the stretches come so."""
+    """The symmetry changes the sign of u_0; about half of the segments are mirrored."""
     agent = some_agent(batch=500)
     mirror = Mirror(np.arange(SHAPE), np.ones(SHAPE), np.array([-1.0, 1.0]))
     replay = lived(agent)
@@ -213,7 +213,7 @@ def test_the_deployed_policy_acts_like_the_learnt_one(policy: str) -> None:
 
 
 def test_the_law_learns_which_action_pays() -> None:
-    """Each episode is one step, and pays for an action near one that depends on the observation."""
+    """Each episode is one step with a reward for an action near one that depends on the observation."""
     agent = some_agent(hidden=32, renewal=50, learning_rate=3e-3)
     random, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
     replay = agent.make_replay(INTERFACE, 4000)

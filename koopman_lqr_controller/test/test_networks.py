@@ -15,7 +15,7 @@ def inputs(rows: int = 64) -> tuple[Tensor, Tensor]:
 
 
 def alone(critic: TwinCritic, index: int, normalised: bool) -> nn.Sequential:
-    """Return one of the two critics, of torch's own layers."""
+    """Return one of the two critics, built from torch's own layers."""
     layers: list[nn.Module] = []
     last = len(critic.weights) - 1
     for number, (weight, bias) in enumerate(zip(critic.weights, critic.biases, strict=True)):

@@ -45,7 +45,7 @@ def policy() -> EdmdPolicy:
 
 
 def between_walls(width: float, offset: float, heading: float, beams: int = 360) -> np.ndarray:
-    """Ranges of a lidar between two endless straight walls; offset [m] to the left, heading [rad] to the left."""
+    """Ranges of a lidar between two infinite straight walls; offset [m] to the left, heading [rad] to the left."""
     bearing = np.arange(beams) * 2 * np.pi / beams + heading
     with np.errstate(divide="ignore", over="ignore"):
         ahead = np.where(np.sin(bearing) > 0, (width / 2 - offset), (width / 2 + offset)) / np.abs(np.sin(bearing))

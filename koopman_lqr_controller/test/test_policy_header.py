@@ -1,4 +1,4 @@
-"""Headers of policy files that would keep the loader busy for ever, or the robot without a command."""
+"""Policy file headers that would block the loader indefinitely or leave the robot without a command."""
 
 from pathlib import Path
 from typing import Any

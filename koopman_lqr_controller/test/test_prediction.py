@@ -1,4 +1,4 @@
-"""Errors of a prediction, and the least that they can be, on systems where both are known."""
+"""Prediction errors and their lower bounds, on systems where both are known."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ B = np.array([[0.0], [1.0]])
 
 
 def episodes(seed: int, noise: float = 0.0, bend: float = 0.0) -> tuple[list[np.ndarray], ...]:
-    """Return states, two noisy looks at each, and actions, of z_{k+1} = A z_k + B u_k + bend sin(3 z_k)."""
+    """Return states, two noisy observations of each, and actions, of z_{k+1} = A z_k + B u_k + bend sin(3 z_k)."""
     random = np.random.default_rng(seed)
     true, u = [], []
     for _ in range(4):

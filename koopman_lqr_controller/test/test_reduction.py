@@ -1,4 +1,4 @@
-"""Which latent dimensions are kept, on systems where it is known."""
+"""Selection of latent dimensions on systems with known answers."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from koopman_lqr_controller import KoopmanError
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 2))
 def test_what_a_law_asks_for_is_a_linear_system_in_what_it_observes(seed: int, m: int) -> None:
-    """Half of the states never reach the law: the other half is found, and is closed under A."""
+    """Half of the states do not affect the law: the other half is found and is closed under A."""
     random = np.random.default_rng(seed)
     A = np.zeros((8, 8))
     A[:4, :4], A[4:, :] = random.normal(size=(4, 4)), random.normal(size=(4, 8))

@@ -1,4 +1,4 @@
-"""The regulator of a refitted model does what the learnt law does."""
+"""The regulator of a refitted model agrees with the learnt law."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from line import A, Line, learnt_controller
 
 
 def test_the_offset_of_the_law_is_kept() -> None:
-    """At its goal the learnt law, k - K z, asks for something: what comes of it asks for the same."""
+    """At its goal the learnt law k - K z has a nonzero control; the refitted law has the same."""
     learnt = learnt_controller()
     lived = noisy_roll_outs(learnt, Line(), [0.0, 0.1, 0.2, 0.3], 0)
     found = RegulatorFitter(learnt, lived, (), True).regulator(

@@ -1,4 +1,4 @@
-"""The replay: every step with what followed it, across episodes and after it has turned around."""
+"""The replay: each step with its successor, across episodes and after wrapping around."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from koopman_lqr_controller.training.replay import Later, Mirror, Replay, Sequen
 
 
 def live(replay: Replay, lengths: list[int], first: int = 0, terminated: bool = True) -> None:
-    """Add episodes; an observation is its number in all, an action and a reward are those of their observation."""
+    """Add episodes; an observation is its global index, and an action and a reward are those of their observation."""
     count = first
     for length in lengths:
         for step in range(length):
@@ -53,7 +53,7 @@ def test_what_was_kept_can_be_taken_up_again() -> None:
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=8), st.integers(14, 30), st.integers(0, 99))
 def test_single_pictures_give_the_stacks_that_were_seen(lengths: list[int], capacity: int, seed: int) -> None:
-    """A picture shows its number; the first one of an episode stands for those before it."""
+    """A frame contains its number; the first one of an episode also stands for those before it."""
     replay, count, stacks = Replay(capacity, (3, 1, 1), 1, np.uint8), 0, {}
     for length in lengths:
         first = count

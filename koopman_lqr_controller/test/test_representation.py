@@ -1,4 +1,4 @@
-"""The model that makes the features of values: what its loss counts, and that it learns to look ahead."""
+"""The model of the features of values: its loss, and that it learns to predict."""
 
 import torch
 from koopman_lqr_controller.training.networks.representation import Representation
@@ -9,7 +9,7 @@ FEATURES, CONTROLS, HORIZON = 4, 2, 3
 
 
 def stretch(rows: int = 16, seed: int = 0) -> tuple[Tensor, ...]:
-    """Return features, actions, rewards and later features at random, none of which ends."""
+    """Return random features, actions, rewards and later features without terminations."""
     generator = torch.Generator().manual_seed(seed)
     features = torch.randn(rows, FEATURES, generator=generator)
     u = 2.0 * torch.rand(rows, HORIZON, CONTROLS, generator=generator) - 1.0
@@ -53,7 +53,7 @@ def test_the_loss_is_the_sum_over_steps_of_what_is_predicted_from_what_was_predi
 
 
 def test_it_learns_to_look_ahead() -> None:
-    """Of a linear system, several steps at a time, and of stretches that it has not seen."""
+    """For a linear system, several steps ahead, on unseen segments."""
     generator = torch.Generator().manual_seed(1)
     A, B = (
         0.5 * torch.randn(FEATURES, FEATURES, generator=generator),
@@ -81,7 +81,7 @@ def test_it_learns_to_look_ahead() -> None:
 
 
 def test_it_learns_when_an_episode_ends_and_expects_no_end_before_one_was_met() -> None:
-    """An episode ends where the first feature is beyond a bound."""
+    """An episode ends where the first feature exceeds a bound."""
     model = some_representation()
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
 

@@ -1,4 +1,4 @@
-"""Models of little and noisy data: not worse than "nothing changes", and exact where the data allow."""
+"""Models from few and noisy data: no worse than a constant prediction, and exact where the data allow."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_a_system_that_is_seen_well_is_recovered(n: int, m: int, seed: int) -> N
 
 @pytest.mark.parametrize("seed", range(3))
 def test_of_noise_alone_only_what_regresses_to_the_mean_is_predicted(seed: int) -> None:
-    """A random walk cannot be predicted: its next step is where it is."""
+    """A random walk is unpredictable: the best prediction is its present value."""
     random = np.random.default_rng(seed)
     z = np.cumsum(random.normal(size=(301, 12)), axis=0)
     u = random.normal(size=(300, 2))

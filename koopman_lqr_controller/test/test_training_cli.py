@@ -1,4 +1,4 @@
-"""The commands `train` and `consolidate` from beginning to end, and their errors in one line."""
+"""The commands `train` and `consolidate` end to end, and their one-line errors."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""What is learnt in: the same seed gives the same episode, and what a policy sees is what a robot gives."""
+"""Training environments: equal seeds give equal episodes, and a policy's observations equal a robot's."""
 
 import os
 import re
@@ -135,7 +135,7 @@ def test_all_lidars_look_alike_to_the_policy(lidar: str) -> None:
 
 
 def test_an_episode_of_learning_may_be_as_long_as_the_thesis_says() -> None:
-    """Several corridors in a row; at full speed they take nearly the 700 steps that an episode has."""
+    """Several corridors in a row take nearly the 700 steps of an episode at full speed."""
     learning, task = Corridor(), Corridor(learning=False)
     geometry, alone = learning._world.geometry, task._world.geometry
     assert geometry.path.length == pytest.approx(4 * alone.path.length)
@@ -147,7 +147,7 @@ def test_an_episode_of_learning_may_be_as_long_as_the_thesis_says() -> None:
 
 
 def test_a_corridor_of_ones_own_is_learnt_without_meeting_itself(tmp_path: Path) -> None:
-    """Three corners to the left in a row would come back to where they began."""
+    """Three left corners in a row would return to the start."""
     file = tmp_path / "corner.yaml"
     pieces = "  pieces:\n    - {straight: 1.5 m}\n    - {turn: 90.0 deg, radius: 0.6 m}\n    - {straight: 1.0 m}\n"
     text = task_file("curved_corridor").read_text(encoding="utf-8")
@@ -200,7 +200,7 @@ def test_each_episode_has_another_robot_and_the_same_seed_the_same() -> None:
 
 
 def test_the_mirrored_corridor_is_one() -> None:
-    """What a corridor says is its mirror image is that of a robot on the other side that turns the other way."""
+    """The mirrored corridor has the observation of a robot on the other side that turns the other way."""
     corridor, straight = Corridor(conditions=Conditions("task")), StraightCorridor(0.7, 0.2)
     order, sign, control_sign = corridor.mirror
     limits = corridor.robot_interface.command(np.array([[0.3, 0.8], [0.3, -0.8]]))

@@ -1,4 +1,4 @@
-"""From bags to snapshots, on bags written for it."""
+"""Snapshots from bags, on bags written for the tests."""
 
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def test_says_which_topic_is_missing_and_when_nothing_is_usable(tmp_path: Path) 
 
 
 def test_the_lidar_is_taken_as_it_is_mounted(tmp_path: Path) -> None:
-    """The left half of what a lidar sees that looks to the left is behind the robot."""
+    """The left half of the view of a lidar that faces left is behind the robot."""
     kinds = {**without("/episode"), "/tf_static": "tf2_msgs/msg/TFMessage"}
 
     def ahead(ranges, scan, _v, _omega):

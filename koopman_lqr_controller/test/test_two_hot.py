@@ -1,4 +1,4 @@
-"""Numbers as distributions over bins."""
+"""Scalars as distributions over bins."""
 
 import numpy as np
 import pytest

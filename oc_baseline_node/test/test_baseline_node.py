@@ -1,4 +1,4 @@
-"""The baseline node as a process: a value for each odometry message, queries, a clean end."""
+"""The baseline node as a process: one value per odometry message, queries, a clean shutdown."""
 
 import signal
 import time
@@ -39,7 +39,7 @@ def small_value() -> MlpValue:
 
 
 class Listener:
-    """The other side of the node."""
+    """Counterpart of the node: publishes odometry, records values and sends queries."""
 
     def __init__(self) -> None:
         rclpy.init()
@@ -64,7 +64,7 @@ class Listener:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
     def at(self, x: float, y: float) -> StateValue:
-        """Return what the node says of a pose."""
+        """Return the node's value at a pose."""
         count = len(self.values)
         message = Odometry()
         message.pose.pose.position.x, message.pose.pose.position.y = x, y

@@ -1,4 +1,4 @@
-"""Any function of the observation is a baseline: the formulas of Eq. 3.14 on Stable-Baselines3's own roll-outs."""
+"""Any function of the observation as a baseline: the formulas of Eq. 3.14 on Stable-Baselines3's own rollouts."""
 
 import gymnasium
 import numpy as np
@@ -27,7 +27,7 @@ OBSERVED, COMMANDS = spaces.Box(-10.0, 10.0, (3,)), spaces.Box(-1.0, 1.0, (2,))
 
 
 class Drift(gymnasium.Env):
-    """A point pushed by actions, paid for being near 0; its episodes end after 20 steps, by time or by themselves."""
+    """Point moved by actions and rewarded near 0; episodes end at 20 steps by time limit, or earlier by termination."""
 
     observation_space, action_space = OBSERVED, COMMANDS
 
@@ -48,7 +48,7 @@ def some_baseline(observations):
 
 
 def filled_buffer(steps, environments, gae_lambda, gamma, baseline, seed):
-    """A buffer with random samples, whose last observation has the value `last`."""
+    """Buffer of random samples whose last observation has the value `last`."""
     random = np.random.default_rng(seed)
     buffer = BaselineBuffer(steps, OBSERVED, COMMANDS, "cpu", gae_lambda, gamma, environments, baseline=baseline)
     starts = random.random((steps, environments)) < 0.3
@@ -94,7 +94,7 @@ def test_without_a_baseline_everything_is_as_in_the_library():
 
 @pytest.mark.parametrize("kind", [PPO, TRPO])
 def test_a_constant_added_to_the_baseline_changes_nothing(kind):
-    """Standardised advantages have lost it."""
+    """Standardised advantages do not depend on it."""
 
     def learnt(constant):
         made = {"rollout_buffer_class": BaselineBuffer, "n_steps": 64, "batch_size": 64, "seed": 3, "device": "cpu"}
@@ -173,7 +173,7 @@ def test_a_baseline_leaves_the_gradient_unbiased():
 
 @pytest.mark.parametrize("through_noise", [True, False])
 def test_what_a_control_variate_takes_is_given_back_through_the_policy(through_noise):
-    """E[grad log pi c] = E[grad_a c grad f] (Stein's identity); for c linear in a the mean alone is enough."""
+    """E[grad log pi c] = E[grad_a c grad f] (Stein's identity); for c linear in a, the mean alone suffices."""
     policy, parameters, observations, actions = gaussian_policy()
     critic = make_critic(5)
     distribution = policy.get_distribution(observations).distribution

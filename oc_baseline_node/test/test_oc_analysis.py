@@ -1,4 +1,4 @@
-"""The analyses: model against simulator, MPC in it, and estimates of gradients."""
+"""Analyses: model against simulator, closed-loop MPC in the simulator, and gradient estimates."""
 
 import json
 from pathlib import Path

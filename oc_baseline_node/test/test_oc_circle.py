@@ -1,4 +1,4 @@
-"""States on a circle: the same problem a whole turn further, in goals, bounds, starts, plans and checks."""
+"""States on a circle: the same problem one full turn away, in goals, bounds, starts, plans and checks."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ TURN = 2.0 * np.pi
 
 
 def half_turn(folder: Path, goal: str = "170 .. 190 deg", bounds: str = "") -> NavigationTask:
-    """Return a car's task in an empty room, from (2, 0) to (-2, 0), with a heading to arrive with."""
+    """Return a car's task in an empty room, from (2, 0) to (-2, 0), with a goal heading."""
     limits = {"x": "-4.7 .. 4.7 m", "y": "-4.7 .. 4.7 m"} | ({"theta": bounds} if bounds else {})
     content = {
         "name": "half_turn",
@@ -77,7 +77,7 @@ def test_a_goal_is_the_same_a_turn_further(mpc: Mpc, goal: str, tmp_path: Path) 
 
 
 def test_the_cheaper_way_round_is_taken(mpc: Mpc) -> None:
-    """Half a turn away both ways are as long; driving backwards is not possible, so that one is no shortcut."""
+    """At half a turn both ways are equally long; driving backwards is impossible, so it is no shortcut."""
     problem, first = mpc.problem, start(10.0)
     bounds = problem.bounds_around(first)
     ways = [region for _, region in problem.ways_round(first, bounds)]
@@ -136,7 +136,7 @@ def test_no_start_is_dropped_for_the_way_its_heading_is_written(
 
 
 def ring(period: float) -> OptimalControlProblem:
-    """Return the problem of a mass of the plane with a pointer on a circle of any period."""
+    """Return the problem of a point mass in the plane with a pointer on a circle of any period."""
 
     def equations(_math: object, _parameters: object) -> object:
         return lambda _x, u, d: (u[0] + d[0], u[1] + d[1], u[2] + d[2])
@@ -193,7 +193,7 @@ def test_values_are_moved_by_whole_periods_where_there_is_one() -> None:
 
 
 def test_a_plan_keeps_the_bounds_of_the_models_own_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A car whose speed is a state of 0.5 m/s at most, with a motor that could make it faster; no task names it."""
+    """A car with its speed as a state limited to 0.5 m/s and a motor that could exceed it; the task sets no limit."""
 
     def equations(m: Any, _parameters: object) -> object:
         return lambda x, u, _d: (x[3] * m.cos(x[2]), x[3] * m.sin(x[2]), u[1], u[0])

@@ -1,4 +1,4 @@
-"""The oc command: each step, and one clear line where it cannot."""
+"""The oc command: each step, and a clear one-line error if a step is impossible."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""From RL task to optimal control problem: candidates, criteria, constants."""
+"""From an RL task to an optimal control problem: candidates, criteria, constants."""
 
 from dataclasses import replace
 

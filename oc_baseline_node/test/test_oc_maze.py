@@ -1,4 +1,4 @@
-"""Long walls and narrow doors: a way through, kept clear between the samples too, and told by `oc data`."""
+"""Long walls and narrow doors: a path through, clear between samples too, and reported by `oc data`."""
 
 from pathlib import Path
 
@@ -12,12 +12,12 @@ from oc_baseline_node import Mpc, MpcSolution, OptimalControlProblem, draw_episo
 
 
 def wall(left: float, right: float, y: float) -> dict[str, dict[str, str]]:
-    """A wall 0.3 m thick along x."""
+    """Wall 0.3 m thick along x."""
     return {"box": {"centre": f"({(left + right) / 2}, {y}) m", "size": f"({right - left}, 0.3) m"}}
 
 
 def write_maze(folder: Path, walls: list[dict[str, dict[str, str]]], horizon: int) -> str:
-    """The car's task with walls instead of cubes, from one corner to the other."""
+    """Write the car's task with walls instead of cubes, from one corner to the opposite one."""
     content = yaml.safe_load(task_file("car_navigation").read_text(encoding="utf-8"))
     content["name"], content["obstacles"] = "maze", walls
     content["start"] = {"x": "-4.3 .. -3.5 m", "y": "-4.3 .. -3.5 m", "theta": "0.0 .. 90.0 deg"}
@@ -28,7 +28,7 @@ def write_maze(folder: Path, walls: list[dict[str, dict[str, str]]], horizon: in
 
 
 def nearest(problem: OptimalControlProblem, trajectory: MpcSolution) -> float:
-    """How near it comes to an obstacle [m], looked at ten times a step but for the first."""
+    """Minimum distance to an obstacle [m], sampled ten times per step without the first step."""
     x, u = trajectory.states[1:-1], trajectory.controls[1:]
     dense = [problem.system.step(x, u, dt=part * trajectory.time_step) for part in np.linspace(0.0, 1.0, 11)]
     return float(signed_distance(problem.obstacles, np.array(dense)[..., problem.positions]).min())
@@ -59,7 +59,7 @@ def test_clearance_is_kept_between_the_samples(name: str) -> None:
 
 
 def test_oc_data_tells_how_the_start_set_fares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No way leads through a closed wall; starts beyond it have one."""
+    """No path leads through a closed wall; starts beyond it have one."""
     task = write_maze(tmp_path, [wall(-5, 5, -2.5)], 20)
     assert main(["data", task, "--output", str(tmp_path / "data"), "--trajectories", "2", "--workers", "1"]) == 0
     said = capsys.readouterr().out

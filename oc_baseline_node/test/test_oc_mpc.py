@@ -1,4 +1,4 @@
-"""Trajectories against closed forms and against what the task says, on the real solvers."""
+"""Trajectories against closed forms and the task, with the real solvers."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def mpcs() -> dict[str, Mpc]:
 
 
 def linear_problem(horizon: int, gamma: float) -> OptimalControlProblem:
-    """Return a point mass among no obstacles: linear dynamics, quadratic cost, nothing that binds."""
+    """Return a point mass without obstacles: linear dynamics, quadratic cost, no active bounds."""
     base = formulate(load_navigation_task("car_navigation"))
     bounds = dict.fromkeys(("v_x", "v_y", "v_z"), (-1000.0, 1000.0))
     free = np.array([[-np.inf] * 3, [np.inf] * 3])
@@ -76,7 +76,7 @@ def test_a_long_horizon_has_the_gain_of_the_riccati_equation() -> None:
 
 
 def check(problem: OptimalControlProblem, trajectory: MpcSolution, start: np.ndarray) -> None:
-    """Check a trajectory by other means than the solver's."""
+    """Check a trajectory independently of the solver."""
     states, controls = trajectory.states, trajectory.controls
     x = np.asarray(start, dtype=float)
     for k, u in enumerate(controls):
@@ -128,7 +128,7 @@ def test_a_warm_start_takes_fewer_iterations(mpcs: dict[str, Mpc]) -> None:
 
 
 def short_car(horizon: int = 140) -> NavigationTask:
-    """The car with the published time step: 7 s in all, or less."""
+    """The car with the published time step: at most 7 s in total."""
     task = load_navigation_task("car_navigation")
     assert task.optimal_control is not None
     changed = task.optimal_control.model_copy(update={"time_step": 0.05, "horizon": horizon})

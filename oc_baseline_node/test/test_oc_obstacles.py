@@ -1,4 +1,4 @@
-"""Superellipses cover what they stand for."""
+"""Superellipses that cover obstacles."""
 
 import casadi
 import numpy as np
@@ -13,7 +13,7 @@ lengths = st.floats(0.05, 5.0)
 
 
 def near(shape: Box | Disc, clearance: float) -> np.ndarray:
-    """Return points at the edge of the shape grown by the clearance, and inside."""
+    """Return points on the boundary of the shape inflated by the clearance, and inside it."""
     reach = 8.0
     random = np.random.default_rng(0)
     points = np.asarray(shape.centre) + random.uniform(-reach, reach, (4000, 2))
@@ -73,7 +73,7 @@ def test_a_disc_is_covered_exactly() -> None:
 
 
 def test_a_cover_wastes_little_of_the_room() -> None:
-    """The cubes of car_navigation: a superellipse leaves a robot centimetres more than it needs, a disc decimetres."""
+    """For the cubes of car_navigation, a superellipse wastes centimetres of free space, a disc decimetres."""
     box, clearance = Box((0.0, 0.0), (0.7, 0.7)), 0.277
     ellipse = covering_superellipse(box, clearance)
     assert ellipse.semi_axes[0] < 0.5 * 0.7 + clearance + 0.01

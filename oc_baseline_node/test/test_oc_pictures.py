@@ -1,4 +1,4 @@
-"""Pictures of optimal-control values, and of what learns with them."""
+"""Figures of optimal-control values and of learning with them."""
 
 import pytest
 from oc_baseline_node.plots import draw_heat_map

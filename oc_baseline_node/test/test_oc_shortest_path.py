@@ -1,4 +1,4 @@
-"""Where solvers begin: ways round obstacles, and what they are good for."""
+"""Initial guesses for solvers: paths around obstacles, and their benefit."""
 
 from dataclasses import replace
 

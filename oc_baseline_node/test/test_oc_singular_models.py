@@ -1,4 +1,4 @@
-"""Models without a derivative, or a value, where a trajectory begins: MPC ends, with a trajectory or one line."""
+"""Models without a derivative, or a value, at the start of a trajectory: MPC returns a trajectory or one error line."""
 
 import sys
 from pathlib import Path
@@ -61,7 +61,7 @@ def test_equations_that_casadi_cannot_take_are_refused_in_one_line(
 
 
 def endless() -> casadi.Function:
-    """Return fatrop on a program whose Jacobian is NaN at the first point: it never ends."""
+    """Return fatrop on a program with a NaN Jacobian at the initial point, on which it never terminates."""
     x, u, y = (casadi.SX.sym(name) for name in "xuy")
     g = casadi.vertcat(y - x - u + casadi.sqrt(x * x + u * u), x)
     nlp = {"x": casadi.vertcat(x, u, y), "f": x * x + u * u + y * y, "g": g}

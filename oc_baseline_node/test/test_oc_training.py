@@ -1,4 +1,4 @@
-"""Learning with each baseline in the real simulator: resumes exactly, becomes tables and pictures."""
+"""Learning with each baseline in the real simulator: exact resuming, tables and figures."""
 
 import json
 import subprocess
@@ -32,7 +32,7 @@ def _short_roll_outs(update_every):
 
 
 def own_task(folder, of, *changes, name=None):
-    """Write a task of the suite with other lines and return its file."""
+    """Write a task of the suite with replaced lines and return its file."""
     text = task_file(of).read_text(encoding="utf-8")
     for before, after in (*changes, (f"name: {of}", f"name: {name or of}")):
         assert before in text

@@ -1,4 +1,4 @@
-"""V_oc as a network: fit, NumPy against torch, gradients, files, pictures."""
+"""V_oc as a network: fit, NumPy against torch, gradients, files, figures."""
 
 import os
 import subprocess
@@ -68,7 +68,7 @@ def test_the_same_seed_gives_the_same_network(made: Made) -> None:
 
 
 def test_the_error_is_of_many_trajectories_that_the_network_fitted_without(made: Made) -> None:
-    """Four of forty would be too few: five networks are tested on four others each."""
+    """Four of forty would be too few: each of five networks is tested on a different four."""
     unseen = made[2].manifest["held_out"]
     assert unseen["trajectories"] == 20
     assert unseen["mae_low"] < unseen["mae"] < unseen["mae_high"]

@@ -1,4 +1,4 @@
-"""Quadratic programs from a trajectory nearby: against a dense solver, and against the interior point's cost."""
+"""Quadratic programs from a nearby trajectory: against a dense solver, and against the interior-point cost."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ WIDTH = STATES + CONTROLS
 
 
 def random_stages(random: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Return H, q, A, b, lower, upper, G, c and the first state of a program that has a solution."""
+    """Return H, q, A, b, lower, upper, G, c and the first state of a feasible program."""
     root = random.normal(size=(STAGES + 1, WIDTH, WIDTH))
     H = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(WIDTH)
     q, b = random.normal(size=(STAGES + 1, WIDTH)), random.normal(size=(STAGES, STATES))
@@ -39,7 +39,7 @@ def random_stages(random: np.random.Generator) -> tuple[np.ndarray, ...]:
 
 
 def densely(H, q, A, b, lower, upper, G, c, first) -> np.ndarray:
-    """Return the solution by ipopt, which knows of no stages."""
+    """Return the solution by ipopt, without use of the stage structure."""
     z = casadi.SX.sym("z", (STAGES + 1) * WIDTH)
     part = [z[k * WIDTH : (k + 1) * WIDTH] for k in range(STAGES + 1)]
     stages = range(STAGES)

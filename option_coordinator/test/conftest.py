@@ -1,4 +1,4 @@
-"""Fixtures of the tests on real processes: a namespace with coordinators and robots, and the nodes that watch them."""
+"""Fixtures for tests with real processes: a namespace of coordinators and robots, and the nodes that observe them."""
 
 import pytest
 import rclpy
@@ -7,7 +7,7 @@ from rig import Rig
 
 @pytest.fixture(scope="module")
 def watchers(_no_shared_memory):
-    """The tests' nodes: they end together, since the middleware may crash where one ends as its peers are killed."""
+    """Observer nodes of the tests, shut down together: the middleware may crash if their peers are killed first."""
     rclpy.init()
     nodes = []
     yield nodes

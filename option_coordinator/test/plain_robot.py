@@ -1,4 +1,4 @@
-"""A robot written from the text of ctrl_rl_msgs/msg alone: plain rclpy, and nothing of this suite but its messages."""
+"""Robot implemented from the text of ctrl_rl_msgs/msg alone, with plain rclpy and no code of the suite."""
 
 import sys
 import time
@@ -21,7 +21,7 @@ OPTIONS, OBSERVATION, LASTS_S = 3, [0.5, -0.5], 0.2
 
 
 class PlainRobot(Node):
-    """Options last 0.2 s each; option 0 is the safe one."""
+    """Options of 0.2 s each; option 0 is the safe one."""
 
     def __init__(self, name, team):
         super().__init__(f"plain_{name}")
@@ -38,7 +38,7 @@ class PlainRobot(Node):
         self.create_timer(0.02, self.tick)
 
     def ask(self, reward=0.0, steps=0):
-        """Ask anew, of what is observed now."""
+        """Send a new request with the current observation."""
         self.request = OptionRequest(
             agent=self.agent,
             incarnation=self.incarnation,
@@ -54,7 +54,7 @@ class PlainRobot(Node):
         self.say_at = self.beat_at = time.monotonic()
 
     def believes(self, epoch):
-        """Whether an epoch is believed: see CoordinatorStatus.msg."""
+        """Whether an epoch is trusted (see CoordinatorStatus.msg)."""
         now = time.monotonic()
         first = self.epoch == 0 and epoch < LARGEST_LEAP
         if first or epoch <= self.epoch + RISE:

@@ -1,4 +1,4 @@
-"""Random joint policies and decisions, and what brute force says of them."""
+"""Random joint policies and decisions, with brute-force reference values."""
 
 from itertools import product
 
@@ -13,7 +13,7 @@ RANK = 3
 
 
 def random_tensors(head, counts, observation_size, generator, scale=1.0):
-    """Tensors of a policy that is far from uniform."""
+    """Tensors of a policy far from uniform."""
 
     def layer(name, out, inputs):
         return {
@@ -37,7 +37,7 @@ def random_tensors(head, counts, observation_size, generator, scale=1.0):
 
 
 def random_policy(head, counts, generator, partial=False, observation_size=5):
-    """A policy of any kind; a partial one observes 2 numbers for each agent."""
+    """Random policy of any kind; a partial one observes 2 numbers per agent."""
     if not partial:
         return make_policy(head, random_tensors(head, counts, observation_size, generator), counts, False)
     tensors = {}
@@ -48,7 +48,7 @@ def random_policy(head, counts, generator, partial=False, observation_size=5):
 
 
 def random_decision(counts, generator, choosing=None, absent=None, all_legal=False):
-    """Who chooses, what the others run, and what is legal."""
+    """Random choosers, running options and legal options."""
     agents = len(counts)
     choosing = generator.random(agents) < 0.6 if choosing is None else np.array(choosing)
     absent = ~choosing & (generator.random(agents) < 0.3) if absent is None else np.array(absent)
@@ -62,12 +62,12 @@ def random_decision(counts, generator, choosing=None, absent=None, all_legal=Fal
 
 
 def all_joint(counts):
-    """Every joint option (cells, N)."""
+    """All joint options (cells, N)."""
     return np.array(list(product(*(range(count) for count in counts))))
 
 
 def brute_force(joint_log_prob, counts, choosing, running, legal):
-    """Return the choosers' joint options and their probabilities, by summing over every joint option."""
+    """Return the choosers' joint options and their probabilities by summing over all joint options."""
     weights = {}
     for options, log_prob in zip(all_joint(counts), joint_log_prob, strict=True):
         fits = all(running[i] in (NONE, options[i]) for i in range(len(counts)) if not choosing[i])

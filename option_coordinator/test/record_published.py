@@ -1,15 +1,15 @@
-"""Records courses of the published Tool Delivery environment, to hold ours to: tool_delivery_published.json.
+"""Recorder of trajectories of the published Tool Delivery environment for tests: tool_delivery_published.json.
 
     python record_published.py CHECKOUT OUTPUT
 
-CHECKOUT is one of github.com/yuchen-x/MacDeepMARL (MIT) at commit 3ded791, none of whose code is here. Its options are
-drawn, most episodes' in favour of what leads on, so that tools are delivered as well as passed in vain.
+CHECKOUT is one of github.com/yuchen-x/MacDeepMARL (MIT) at commit 3ded791, none of whose code is included. Options are
+drawn, in most episodes with a preference for progress, so that both deliveries and failed passes occur.
 
 The file: for each episode a list of option steps, each of
-    options    of the two Turtlebots and the Fetchbot, as digits; "-" for who runs on
+    options    of the two Turtlebots and the Fetchbot, as digits; "-" for an agent whose option continues
     duration   low-level steps
-    rewards    of those that are not -1, by the low-level step of the option step: [[3, -11.0]]
-    ready      who may choose then, as bits
+    rewards    other than -1, by the low-level step of the option step: [[3, -11.0]]
+    ready      the agents that may choose then, as bits
     seen       the joint observation then, 30 bits, as a hexadecimal number
 """
 
@@ -26,7 +26,7 @@ BASKET, FOUND = slice(8, 11), 3
 
 
 def published(checkout):
-    """Return its class; what it imports beside NumPy is not needed to step it, and stands in as far as it is named."""
+    """Load the environment class; unneeded imports other than NumPy are replaced by stubs."""
     stand_ins = {
         "IPython": {},
         "IPython.core": {},
@@ -49,7 +49,7 @@ def published(checkout):
 
 
 def choose(agent, seen, found, generator):
-    """Return an option that leads on."""
+    """Return an option that makes progress in the task."""
     turtlebot = agent < 2
     if turtlebot:
         return 0 if seen[BASKET].any() else 2
@@ -58,7 +58,7 @@ def choose(agent, seen, found, generator):
 
 
 def course(environment, generator):
-    """Return an episode's option steps."""
+    """Return the option steps of an episode."""
     seen, ready, options = environment.reset(), [True] * 3, [-1] * 3
     eager, found, over, steps = generator.random() < 0.7, 0, False, []
     while not over:

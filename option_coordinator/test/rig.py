@@ -1,4 +1,4 @@
-"""Coordinators and robots as processes of their own, with whatever is said between them written down."""
+"""Coordinators and robots in separate processes, with a record of all their messages."""
 
 import contextlib
 import itertools
@@ -27,7 +27,7 @@ from option_coordinator import Agent, OptionPolicy, Request, Status
 COORDINATOR = "option_coordinator.nodes.coordinator_node"
 ROBOT = str(Path(__file__).with_name("robot_process.py"))
 FORKS = multiprocessing.get_context("forkserver")
-"""Starts processes that need not import everything again."""
+"""Server that forks processes with the imports already done."""
 FORKS.set_forkserver_preload([COORDINATOR, "option_coordinator.nodes.option_agent"])
 PATIENCE = 120.0  # s of wall time, for a busy machine
 LEASE, LOST_AFTER = 0.5, 1.0
@@ -36,7 +36,7 @@ _NUMBERS = itertools.count()
 
 
 def write_policy(path, seed=0, robots=2, names=()):
-    """A policy of robots r0, r1, ... with three options each, as far from uniform as weights are random."""
+    """Write a policy of robots r0, r1, ... with three options each and random weights far from uniform."""
     agents = tuple(Agent(name, ("stay", "go", "look"), 2) for name in names or [f"r{i}" for i in range(robots)])
     tensors = random_tensors("mixture", (3,) * robots, 2 * robots, np.random.default_rng(seed), 0.1)
     policy = OptionPolicy(agents, "mixture", False, tensors)
@@ -45,7 +45,7 @@ def write_policy(path, seed=0, robots=2, names=()):
 
 
 def run(program, arguments, environment):
-    """Run a module's `main`, or a script, as a process of its own."""
+    """Run a module's `main`, or a script, in its own process."""
     os.environ.update(environment)
     sys.argv = [program, *arguments]
     if program.endswith(".py"):
@@ -55,7 +55,7 @@ def run(program, arguments, environment):
 
 
 class Rig:
-    """A namespace of its own with processes in it. Whoever shuts ROS down ends its node."""
+    """Namespace with its own processes; shutting ROS down ends the rig's node."""
 
     def __init__(self, folder):
         self.namespace = f"/rig{next(_NUMBERS)}"
@@ -101,7 +101,7 @@ class Rig:
         self.processes[name] = process
 
     def coordinator(self, *names, **parameters):
-        """Start some with short times; return once they are heard: what they say first is not to be missed."""
+        """Start coordinators with short timeouts; return once they are heard, so that no early message is missed."""
         said = len(self.diagnostics)
         times = {"lease": LEASE, "lost_after": LOST_AFTER, "repeat": 0.05, "policy_limit": 10.0, "stale": 30.0}
         own = names or ("coordinator",)
@@ -123,7 +123,7 @@ class Rig:
         del self.processes[name]
 
     def until(self, condition, what):
-        """Return what `condition` gives once it is true; nothing depends on how long that takes."""
+        """Return the value of `condition` once it is true, regardless of the time it takes."""
         deadline = time.monotonic() + PATIENCE
         while not (found := condition()):
             rclpy.spin_once(self.node, timeout_sec=0.02)
@@ -133,7 +133,7 @@ class Rig:
         return found
 
     def summary(self):
-        """What is known last of everybody, for who has to find out why nothing happens."""
+        """Latest state of every participant, for diagnosing a test without progress."""
         last = {s.agent: s for s in self.statuses} | {d.status[0].name: d.status[0] for d in self.diagnostics}
         return "\n".join(str(word) for word in [*last.values(), *self.requests[-1:], *self.grants[-1:]])
 
@@ -152,12 +152,12 @@ class Rig:
         return self.given(agent)[-1]
 
     def says(self, agent, state):
-        """The latest word of a robot, where it says that it is in a state, else None."""
+        """Latest status of a robot if it reports the given state, else None."""
         last = next((s for s in reversed(self.statuses) if s.agent == agent), None)
         return last if last is not None and last.state == state else None
 
     def running(self, agent):
-        """The latest word of a robot, where it says that it carries out an option."""
+        """Latest status of a robot that reports a running option."""
         return self.says(agent, AgentState.RUNNING)
 
     def new_step(self, condition, what):
@@ -166,23 +166,23 @@ class Rig:
         return self.until(lambda: next((s for s in self.steps[seen:] if condition(s)), None), what)
 
     def status(self, name, said=0):
-        """The latest diagnostics of a node, None where there are none, the first `said` messages left out."""
+        """Latest diagnostics of a node, or None; the first `said` messages are skipped."""
         found = (m.status[0] for m in reversed(self.diagnostics[said:]))
         return next((s for s in found if s.name == f"{self.namespace}/{name}"), None)
 
     def counted(self, kind, name="coordinator"):
-        """How often a node's diagnostics say that something happened."""
+        """Number of times a node's diagnostics report an event."""
         status = self.status(name)
         return 0 if status is None else int({v.key: v.value for v in status.values}.get(kind, 0))
 
     def deciding(self, *names):
-        """Which of some coordinators decides, by its latest diagnostics; None unless it is exactly one."""
+        """Coordinator that decides according to its latest diagnostics; None unless there is exactly one."""
         said = [status for name in names if (status := self.status(name)) is not None]
         found = [s.name.rsplit("/", 1)[-1] for s in said if s.message != STANDS_BY and "listening" not in s.message]
         return found[0] if len(found) == 1 and len(said) == len(names) else None
 
     def ask(self, agent="r0", request_id=1, incarnation=1, epoch=0, **changes):
-        """Ask by hand."""
+        """Send a single request."""
         now = 1e-9 * self.node.get_clock().now().nanoseconds
         fields = {"observation": np.zeros(2, np.float32), "legal": np.ones(3, bool), "stamp": now} | changes
         request = Request(
@@ -191,11 +191,11 @@ class Rig:
         self.request_publisher.publish(request_message(request))
 
     def say(self, state, agent="r0", incarnation=1, **told):
-        """Send a heartbeat by hand."""
+        """Send a single heartbeat."""
         self.status_publisher.publish(status_message(Status(agent, incarnation, state, **told), 0.0))
 
     def answer(self, condition, what, **request):
-        """Ask by hand until an answer comes for which `condition` holds."""
+        """Send requests until an answer satisfies `condition`."""
         seen = len(self.grants)
 
         def answered():
@@ -206,7 +206,7 @@ class Rig:
         return self.until(answered, what)
 
     def set_parameter(self, name, value):
-        """Return what the coordinator says to another value."""
+        """Return the coordinator's reply to a parameter change."""
         client = self.node.create_client(SetParameters, "coordinator/set_parameters")
         self.until(client.service_is_ready, "the coordinator's parameters")
         parameter = Parameter(name, value=value).to_parameter_msg()

@@ -1,4 +1,4 @@
-"""A robot of tests as a process: real agent, real topics; its options do nothing but last."""
+"""Test robot as a process: real agent and real topics; its options only take time."""
 
 import math
 import sys
@@ -13,7 +13,7 @@ from option_coordinator import AgentObservation, ClientTimeouts, OptionAgent, Op
 
 
 class TestRobot(SuiteNode):
-    """Carries out options that last `lasts` seconds each; 0.0 for ever."""
+    """Robot with options of `lasts` seconds each; 0.0 means endless."""
 
     PARAMETERS: ClassVar = (
         Parameter("robot", "r0", "Name."),

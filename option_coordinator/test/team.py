@@ -1,4 +1,4 @@
-"""A simulated team under coordinators: robots as they should behave, on a network that loses, delays and doubles."""
+"""Simulated team under coordinators: conforming robots on a network that drops, delays and duplicates messages."""
 
 import heapq
 from dataclasses import replace
@@ -45,12 +45,12 @@ def uniform(seed):
 
 @cache
 def at(seconds):
-    """A moment at which all clocks agree."""
+    """Time at which all clocks agree."""
     return ClockReading(seconds, seconds, seconds)
 
 
 class SimulatedCoordinator:
-    """The real one, and what has arrived that it has not taken yet."""
+    """Real coordinator with a queue of received messages."""
 
     def __init__(self, now, seed):
         self.core = Coordinator(AGENTS, uniform(seed), "digest", at(now), TIMES, seed)
@@ -58,7 +58,7 @@ class SimulatedCoordinator:
         self.inbox = []
 
     def take(self, message, now):
-        """Take one message."""
+        """Process one message."""
         if isinstance(message, Request):
             return self.core.on_request(message, at(now))
         if isinstance(message, Status):
@@ -68,14 +68,14 @@ class SimulatedCoordinator:
 
 
 class SimulatedRobot:
-    """The real robot's side, with options that last as they like."""
+    """Robot side of the real protocol, with options of arbitrary duration."""
 
     def __init__(self, robot, random):
         self.robot, self.random = robot, random
         self.start(0.0)
 
     def start(self, now):
-        """A new life: what it has seen is forgotten."""
+        """Start a new life, with all earlier state forgotten."""
         self.alive, self.frozen = True, False
         self.inbox = []
         self.running = None
@@ -108,7 +108,7 @@ class SimulatedRobot:
         return OptionResult()
 
     def words(self, now):
-        """What it says at this moment."""
+        """Messages that the robot sends at present."""
         if not self.alive or self.frozen:
             return []
         request_id = self.client.request_id
@@ -235,7 +235,7 @@ class Team:
         self.gone.pop(name, None)
 
     def settle(self):
-        """With a good network one coordinator decides, and everybody who lives is served, whoever does not."""
+        """With a good network, one coordinator decides and every live robot is served, regardless of the others."""
         self.loss = self.double = self.delay = 0.0
         if not self.coordinators:
             self.start_coordinator()

@@ -1,4 +1,4 @@
-"""Bags of a simulated team, as a coordinator's would be, or nearly so."""
+"""Bags of a simulated team, in the format of a coordinator's bag or close to it."""
 
 import numpy as np
 from option_coordinator.data import team_bag
@@ -9,19 +9,19 @@ LOW_LEVEL = 0.99
 
 
 class TeamBag(team_bag.TeamBag):
-    """Writes a bag of any coordinator's life, and messages that no coordinator would write."""
+    """Writer of a bag with an arbitrary coordinator life, including messages that no coordinator would send."""
 
     def __init__(self, folder):
         super().__init__(folder, LOW_LEVEL)
 
     def put(self, decision, chosen, log_prob, digest, number, epoch=1, low_level=LOW_LEVEL, **changes):
-        """Write a decision; `changes` are made to the message."""
+        """Write a decision, with `changes` applied to the message."""
         numbers = {"step": number, "coordinator_epoch": epoch, "discount": low_level}
         self.write(self.fields(decision, chosen, log_prob, digest) | numbers | changes)
 
 
 def play_into(bag, environment, policy, digest, episodes, seed=0, epoch=1):
-    """Play episodes with a joint policy into an open bag and return the trajectory of each."""
+    """Write episodes of a joint policy to an open bag and return the trajectory of each."""
     generator, number, out = np.random.default_rng(seed), 0, []
     for _ in range(episodes):
         decision, steps = environment.reset(generator), []

@@ -1,4 +1,4 @@
-"""PettingZoo's own test, pictures and commands."""
+"""PettingZoo's API test, pictures and commands."""
 
 import json
 import subprocess

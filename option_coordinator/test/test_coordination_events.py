@@ -1,4 +1,4 @@
-"""Thousands of kills, freezes, restarts, losses, doubles and delays: nothing granted twice, nobody waits for ever."""
+"""Thousands of kills, freezes, restarts, losses, duplicates and delays: no double grant, no endless wait."""
 
 import hypothesis.strategies as st
 import pytest

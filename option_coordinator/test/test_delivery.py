@@ -1,4 +1,4 @@
-"""A delivery team: its file, a robot's work, how it steers, and the policies that need no file."""
+"""Delivery team: its file, a robot's options, steering, and the policies without a file."""
 
 import math
 
@@ -19,7 +19,7 @@ WAIT, SHELF, OTHER_SHELF, DESK, _, HOME = range(6)
 
 
 def carry_out(delivery, option, begin=0.0, way=2.0):
-    """Return what an option brings whose way takes two seconds."""
+    """Return the outcome of an option with a path of two seconds."""
     delivery.begin(option, begin)
     assert delivery.at_place(begin + way) is None
     return delivery.at_place(begin + way + 10.0)

@@ -1,4 +1,4 @@
-"""One coordinator decides, however many there are: whenever they begin, end or freeze, whatever is lost or delayed."""
+"""Exactly one of any number of coordinators decides, despite starts, ends, freezes, losses and delays."""
 
 import heapq
 from itertools import count
@@ -17,7 +17,7 @@ AT_MOST = 4
 
 
 class Network:
-    """Elections that hear each other, each at moments of its own, through losses and delays."""
+    """Elections connected by a network with losses and delays, each ticking at its own times."""
 
     def __init__(self, seed):
         self.random = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ class Network:
         return {name: e.epoch for name, e in self.alive.items() if e.epoch and name not in self.frozen}
 
     def check(self):
-        """Once the network is good, within a lease and a bit one decides, and stays; the others stand by."""
+        """On a good network, one coordinator decides within just over a lease and remains; the others stand by."""
         self.loss, self.delay = 0.0, DELAY
         self.advance(4 * LEASE)  # what is under way from bad times may be as late as two leases
         one = self.deciding()

@@ -1,4 +1,4 @@
-"""Torch and NumPy are the same policies, and the entropies that learning uses are true on average."""
+"""Torch and NumPy policies agree, and the entropy estimates used in learning are unbiased."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_torch_and_numpy_agree(head, partial, seed):
 
 
 def test_entropies_of_many_robots_are_true_on_average(monkeypatch):
-    """The chain of a mixture whose joint options are not counted."""
+    """Mixture with too many joint options to enumerate; the entropy comes from the chain rule."""
     monkeypatch.setattr(heads, "COUNTABLE", 1)
     generator = np.random.default_rng(0)
     network, policy = pair("mixture", False, 1)

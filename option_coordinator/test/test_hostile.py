@@ -1,4 +1,4 @@
-"""A wrong or hostile message does nothing that lasts to coordinators and robots. Real messages, real protocol."""
+"""Wrong and hostile messages have no lasting effect on coordinators and robots; real messages and protocol."""
 
 import math
 from dataclasses import replace
@@ -90,7 +90,7 @@ READERS = {OptionRequest: request_of, AgentStatus: status_of, OptionGrant: grant
 
 
 def taken(message):
-    """What a message says, None where nobody may say so; why not repeats nothing of the message."""
+    """Content of a message, or None if its sender is not authorised; the reason repeats nothing from the message."""
     try:
         return READERS[type(message)](message)
     except MessageError as error:
@@ -156,7 +156,7 @@ def test_a_hail_of_messages_ends_nothing_and_once_it_is_over_all_are_served(seed
 
 
 def strike(team, told):
-    """Let all hear what somebody has said; what comes of it is sent as ever."""
+    """Deliver a message to all participants; their replies are sent as usual."""
     for coordinator in team.coordinators:
         if not isinstance(told, Grant):
             answers = coordinator.take(told, team.now)
@@ -170,7 +170,7 @@ def strike(team, told):
 
 
 def of_robot(robots, name, **changes):
-    """A status in the name of a robot that lives."""
+    """Status in the name of a live robot."""
     return replace(robots.robots[name].client._status(at(robots.now)), **changes)
 
 
@@ -248,7 +248,7 @@ def test_time_in_the_robots_world_does_not_follow_a_clock_that_is_set():
 
 
 def test_who_was_frozen_hears_what_happened_before_it_decides():
-    """It thaws with a robot's request before the word of the one that has taken over."""
+    """On resuming, it holds a robot's request but not yet the message of the coordinator that took over."""
     team = Team(6)
     team.advance(1.5)
     frozen = team.coordinators[0]

@@ -1,4 +1,4 @@
-"""Hostile messages, set clocks and freezes, tried on real processes; `test_hostile` has the protocol alone."""
+"""Hostile messages, clock changes and freezes with real processes; `test_hostile` covers the protocol alone."""
 
 import math
 import signal
@@ -18,12 +18,12 @@ from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionRequest
 
 pytestmark = [pytest.mark.fault, pytest.mark.timeout(900)]  # waits end by themselves, see `PATIENCE`
 LONG_LEASE = 4.0
-"""Lease where one that runs out on a busy machine would be taken for an end by the clock [s]."""
+"""Lease for tests on a busy machine, where a shorter one could expire without a clock change [s]."""
 PLAIN = str(Path(__file__).with_name("plain_robot.py"))
 
 
 def goes_on(rig, *robots, grants=5):
-    """All processes run and these robots are granted options; `until` sees to the processes."""
+    """Check that all processes run and these robots are granted options; `until` checks the processes."""
     for robot in robots or ("r0", "r1"):
         rig.granted(robot, len(rig.given(robot)) + grants)
 
@@ -161,7 +161,7 @@ def test_giant_and_broken_requests_are_dropped_and_starve_nobody(rig):
 
 
 def resident(pid):
-    """Memory of a process [bytes]."""
+    """Resident memory of a process [bytes]."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
 
@@ -174,7 +174,7 @@ def test_a_refusal_says_how_many_and_not_which(rig):
 
 
 class Simulation:
-    """Publishes /clock; time may be set and stopped."""
+    """Publisher of /clock, whose time can be set and stopped."""
 
     def __init__(self, rig):
         self.rig, self.time = rig, 1e6

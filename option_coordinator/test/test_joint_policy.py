@@ -1,4 +1,4 @@
-"""The conditional policies against brute force, for any set of agents that choose, run or are absent (Eq. 5.2, 5.3)."""
+"""Conditional policies against brute force, for any set of choosing, running and absent agents (Eq. 5.2, 5.3)."""
 
 from hashlib import sha256
 
@@ -20,7 +20,7 @@ EDGES = [([True] * 3, [False] * 3), ([False] * 3, [False] * 3), ([False] * 3, [T
 
 
 def full(policy, observation):
-    """Log-probabilities of every joint option, with all agents choosing and everything legal."""
+    """Log-probabilities of all joint options, with every agent choosing and every option legal."""
     agents = len(policy.counts)
     everyone = policy.given(observation, np.ones(agents, dtype=bool), np.full(agents, NONE))
     return everyone.log_prob(all_joint(policy.counts))
@@ -63,7 +63,7 @@ def test_everybody_nobody_and_one_alone(head, choosing, absent):
 
 
 def naive_chain(tensors, counts, observation, choosing, running, legal, options):
-    """log pi-hat of the autoregressive policy, written down once more, slowly."""
+    """Log pi-hat of the autoregressive policy: a slow, independent implementation."""
     from option_coordinator.policies.network import features, layer_norm, linear
 
     begin = [sum(counts[:i]) for i in range(len(counts))]
@@ -150,7 +150,7 @@ def test_a_hundred_robots(head):
 
 
 def test_a_mixture_conditions_as_bayes_would_for_many_robots():
-    """What the chain rule says must hold where nobody can count: p(a, b) = p(a) p(b | a)."""
+    """Check of the chain rule p(a, b) = p(a) p(b | a) where enumeration is infeasible."""
     generator = np.random.default_rng(3)
     counts = (4,) * 60
     policy, observation = random_policy("mixture", counts, generator), generator.normal(size=5)
@@ -246,7 +246,7 @@ def test_policies_that_could_not_choose_are_refused_when_they_are_read(tmp_path,
 
 @pytest.mark.parametrize("head", HEADS)
 def test_weights_that_are_not_numbers_choose_nothing(head):
-    """Least of all option 0, which may not be legal."""
+    """In particular not option 0, which may be illegal."""
     tensors = random_tensors(head, COUNTS, 5, np.random.default_rng(0))
     tensors["head.bias"][:] = np.nan
     policy = make_policy(head, tensors, COUNTS, False)

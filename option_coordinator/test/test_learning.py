@@ -1,4 +1,4 @@
-"""Learning: its pieces against closed forms, resuming, and that it learns at all."""
+"""Learning: components against closed forms, resuming, and improvement of the policy."""
 
 from dataclasses import fields, replace
 from functools import partial
@@ -48,7 +48,7 @@ def gathered(samples=400, seed=0, head="table", partial=False):
 
 
 def naive_advantages(trajectory, values, after, gae_lambda):
-    """sum_l prod(gamma^tau lambda) delta, written down once more."""
+    """sum_l prod(gamma^tau lambda) delta: an independent implementation."""
     out = []
     for begin in range(len(trajectory)):
         total, weight = 0.0, 1.0
@@ -71,7 +71,7 @@ def test_advantages_discount_by_what_an_option_took():
 
 
 def test_with_lambda_one_advantages_are_discounted_returns_of_low_level_steps():
-    """G^1 of the first option step is sum_k gamma^k r_k over the low-level steps, whatever the options took."""
+    """G^1 of the first option step is sum_k gamma^k r_k over the low-level steps, for any option durations."""
     environment = make_environment("tool_delivery")
     choose, steps, rewards = scripted_policy(environment), [], []
     decision = environment.reset(0)
@@ -137,7 +137,7 @@ def test_values_are_learnt_on_a_scale_of_their_own():
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_the_target_of_mac_dqn_agrees_with_what_runs(seed):
-    """Against a search among joint options, one by one."""
+    """Against an exhaustive search over joint options."""
     environment = make_environment("tool_delivery")
     torch.manual_seed(seed)
     learner = MacDqn(environment.agents)
@@ -159,7 +159,7 @@ def test_the_target_of_mac_dqn_agrees_with_what_runs(seed):
 
 @pytest.mark.parametrize("discount", [0.99, 1.0])
 def test_mac_dqn_learns_values_as_large_as_returns_in_a_few_hundred_steps(discount):
-    """An update sees targets near 190 whose size its network must not have to grow to."""
+    """Targets are near 190; their scale is normalised, so the network's outputs need not grow to it."""
     environment = make_environment("tool_delivery", discount=discount)
     torch.manual_seed(0)
     learner, generator = MacDqn(environment.agents), np.random.default_rng(0)
@@ -203,7 +203,7 @@ def test_large_batches_are_learnt_in_parts():
 
 
 def test_figures_of_option_steps_are_pooled():
-    """Of one episode with 1 option step and one with 3; the thesis's keeps the last low-level reward of each."""
+    """One episode with 1 option step and one with 3; the thesis's figure keeps the last low-level reward of each."""
     one = OptionEpisode(returned=4.0, steps=4, decisions=1, option_reward=4.0, last_reward=2.0)
     other = OptionEpisode(returned=0.0, steps=4, decisions=3, option_reward=0.0, last_reward=6.0)
     found = summary([one, other])
@@ -297,7 +297,7 @@ def test_every_method_has_an_environment_and_a_learner():
 
 
 class Matching:
-    """Two agents get 1 a step while their options agree; the first one's option is drawn, lasts and is seen by both."""
+    """A step pays 1 if the options agree, and 1 if the leader's, held for 3 steps, matches its random target."""
 
     agents = (Agent("leader", ("a", "b"), 2), Agent("follower", ("a", "b"), 1))
     step_limit, time_step, room = 40, 1.0, ((0.0, 1.0), (0.0, 1.0))
@@ -343,7 +343,7 @@ class Matching:
 
 @pytest.mark.parametrize("head", ["table", "mixture", "autoregressive"])
 def test_a_follower_learns_from_the_condition_alone(head):
-    """It sees nothing and chooses while the leader's option runs: only pi-hat's condition can tell it what to do."""
+    """The follower observes nothing and chooses during the leader's option; pi-hat's condition is its only input."""
     environment = OptionEnvironment(Matching(), 0.9)
     torch.manual_seed(0)
     learner = Mappo(environment.agents, head)

@@ -1,4 +1,4 @@
-"""A robot's side of the exchange, one moment at a time; `test_coordination_events` plays it against coordinators."""
+"""Robot side of the protocol, step by step; `test_coordination_events` runs it against coordinators."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from option_coordinator import AgentObservation, ClientTimeouts, Grant, OptionCl
 
 
 class Log:
-    """Carries out nothing, and remembers what it was told."""
+    """Option executor that only records its calls."""
 
     def __init__(self):
         self.told = []

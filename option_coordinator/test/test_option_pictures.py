@@ -1,4 +1,4 @@
-"""Pictures of learning options."""
+"""Figures on learning options."""
 
 import pytest
 from option_coordinator.training.plots import Learning, draw_curves

@@ -1,4 +1,4 @@
-"""The closed loop of a team: what bags of a careless script teach."""
+"""Closed loop of a team: learning from bags of an inefficient script."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the coordinator promises, tried on real processes: killed, frozen, doubled, delayed, restarted, replaced."""
+"""Guarantees of the coordinator with real processes: killed, frozen, duplicated, delayed, restarted, replaced."""
 
 import itertools
 import os
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.timeout(900)  # waits end by themselves, see `PATIENCE`
 
 
 def no_double_grants(rig):
-    """For one request of one life an epoch has one grant, however often it is sent."""
+    """Check that each request in a robot's life gets one grant per epoch, however often it is sent."""
     answers = {}
     for grant in rig.grants:
         if grant.status is GrantStatus.GRANTED:
@@ -176,7 +176,7 @@ def test_a_frozen_coordinator_goes_on(rig):
 
 
 def one_decides(rig, *names):
-    """Wait until one coordinator decides, and goes on alone for some leases; return its name and epoch."""
+    """Wait until exactly one coordinator decides and remains alone for several leases; return its name and epoch."""
     robots = ("r0", "r1")
 
     def rounds():

@@ -1,4 +1,4 @@
-"""The light world of a delivery team: its episodes, what it shares with the real robots, and learning in it."""
+"""Lightweight environment of a delivery team: episodes, agreement with the real robots, and learning."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_robots_stay_in_the_room_and_out_of_the_obstacle():
 
 
 def test_the_joint_reward_is_the_sum_of_what_each_robot_earns():
-    """What robots report to a coordinator adds up to what is learnt from here."""
+    """The rewards that robots report to a coordinator sum to the joint reward used for learning."""
     simulation = TeamDeliverySimulation(changed(rewards=TeamRewards(step=-0.5, delivery=7.0)))
     simulation.reset(np.random.default_rng(1))
     options = {0: [SHELF, DESK], 1: [OTHER_SHELF, OTHER_DESK], 2: [WAIT] * 5}
@@ -122,7 +122,7 @@ def test_a_room_too_small_for_the_team_is_refused():
 
 @pytest.mark.fault
 def test_five_robots_find_room_in_every_episode():
-    """A layout whose first robots leave no room for the last is drawn again."""
+    """A layout without space for the last robot is drawn again."""
     robots = {f"robot_{i}": TEAM.robots["robot_1"] for i in range(5)}
     simulation = TeamDeliverySimulation(changed(robots=robots))
     for seed in range(300):

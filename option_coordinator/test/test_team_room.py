@@ -1,4 +1,4 @@
-"""A team file is checked against its room: where that lies, and whether robots can stand where they are to go."""
+"""A team file is checked against its room: the room's location, and free space at the robots' stations."""
 
 import os
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.fault
 
 @pytest.fixture
 def files(tmp_path):
-    """Give a folder with a team of one's own, and its room in a folder below."""
+    """Return a folder with a team file and its room in a subfolder."""
     (tmp_path / "rooms").mkdir()
     room = (FOLDER / "delivery_room.yaml").read_text().replace("name: delivery_room", "name: hall")
     (tmp_path / "rooms" / "hall.yaml").write_text(room)

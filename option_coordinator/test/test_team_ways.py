@@ -1,4 +1,4 @@
-"""A team whose room bars a robot's way is refused before it drives or learns."""
+"""A team with a room that blocks a robot's path is rejected before driving and learning."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from option_coordinator import OptionError, load_team, team_file
 
 
 def team_in(folder: Path, **obstacle: object) -> Path:
-    """Write the delivery team with another room, and return its file."""
+    """Write the delivery team with another room and return its file."""
     room = yaml.safe_load((team_file("delivery_team").parent / "delivery_room.yaml").read_text())
     room |= {"name": "room", "obstacles": [obstacle]}
     (folder / "room.yaml").write_text(yaml.safe_dump(room))

@@ -1,4 +1,4 @@
-"""Tool Delivery as specified: the published environment's courses, its rules, and what holds for any choices."""
+"""Tool Delivery as specified: trajectories of the published environment, rules, and invariants for any choices."""
 
 import json
 from itertools import pairwise
@@ -18,7 +18,7 @@ GO_TO_WS, GO_TO_TR, GET_TOOL = range(3)
 
 
 def play(environment, chooser, seed=0):
-    """Play an episode and return its decisions, the first without a choice."""
+    """Play an episode and return its decisions; the first contains no choice."""
     decisions = [environment.reset(seed)]
     while not decisions[-1].over:
         decisions.append(environment.step(chooser(decisions[-1])))
@@ -78,7 +78,7 @@ PUBLISHED = json.loads((Path(__file__).parent / "tool_delivery_published.json").
 
 
 def test_it_goes_as_the_published_environment_step_for_step():
-    """Observations, rewards and ends of 120 episodes recorded there, see record_published.py."""
+    """Observations, rewards and ends of 120 recorded episodes of the published environment: record_published.py."""
     environment, steps, deliveries = make_environment("tool_delivery"), 0, []
     for episode in PUBLISHED:
         decision = environment.reset(0)
@@ -179,7 +179,7 @@ def test_what_holds_for_any_choices(synchronisation, seed):
 
 @pytest.mark.parametrize("synchronisation", ["wait", "cut"])
 def test_when_a_synchronous_team_is_cut_off_nobody_runs_on(synchronisation):
-    """Its value was learnt where all choose; the moment of the time-out must look like those."""
+    """Values are learnt only at steps where all agents choose, so the time limit must produce such a step."""
     environment = OptionEnvironment(make_simulation(TASK), 0.99, synchronisation)
     for seed in range(4):
         *_, last = play(environment, RandomPolicy(seed), seed)
@@ -194,7 +194,7 @@ def test_when_a_synchronous_team_is_cut_off_nobody_runs_on(synchronisation):
 
 
 def test_without_options_the_fetchbot_knows_its_own_work():
-    """Two steps into a search and two into another look different: only one of them will find tool 1."""
+    """The observation two steps into a search differs between searches, since only one of them finds tool 1."""
     environment = OptionEnvironment(make_simulation(TASK, "actions"), 1.0)
     seen = []
     for work in (3, 4):
@@ -207,7 +207,7 @@ def test_without_options_the_fetchbot_knows_its_own_work():
 
 
 def test_low_level_actions_can_deliver_too():
-    """A drive by hand through the first tool."""
+    """Manual low-level control through the delivery of the first tool."""
     environment = OptionEnvironment(make_simulation(TASK, "actions"), 1.0)
     environment.reset()
     left, right, up, _, stay = range(5)

@@ -1,4 +1,4 @@
-"""Water Filling: published constants, and what holds for any choices."""
+"""Water Filling: published constants, and invariants for any choices."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_speeds_and_reach():
 
 
 def test_who_runs_on_sees_what_is_known_now():
-    """The levels last read are shared: whoever is asked, all of them are new."""
+    """Level readings are shared, so every robot observes the most recent ones."""
     environment = make_environment("water_filling")
     decision = environment.reset(0)
     for _ in range(30):
@@ -64,7 +64,7 @@ def test_the_reward_is_eq_5_6():
 
 
 def test_levels_fall_as_published():
-    """Intervals have mean 9.5 steps, drops are a folded normal."""
+    """Intervals average 9.5 steps; drops follow a folded normal distribution."""
     simulation = WaterFillingSimulation(TASK)
     simulation.reset(np.random.default_rng(0))
     waits, drops = [], []
