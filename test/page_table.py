@@ -206,7 +206,7 @@ sed 's/^name: .*/name: my_team/' \
   "$(python -c 'from option_coordinator import team_file; print(team_file("delivery_team"))')" > my_team.yaml
 """,
         between={"ros2 run option_coordinator coordinator --ros-args -p team": "stop_all"},
-        smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 50000 --evaluations 2"},
+        smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 75000 --evaluations 2"},
         skipped={"ros2 launch": ROS, "ros2 param ": ROS},
     ),
     "ttr_reward_node/README.md": Page(15.0, before=_robot("car_ttr"), skipped={"make ttr ": HOURS}),
