@@ -43,6 +43,9 @@ _GOODBYE_S = 0.1
 
 LONGEST = (
     "test_referee.py",
+    "test_capabilities.py",
+    "test_pages.py",
+    "test_advice.py",
     "test_wheel.py",
     "test_notebooks.py",
     "test_front_door.py",
