@@ -22,7 +22,7 @@ LINES = {
     "ctrl_rl_bringup options_demo": "options_demo --team {task} --policy no_such_policy --output {folder}/run",
     "ctrl_rl_learning teach": "teach --task {task} --seeds 1 --samples 100 --folder {folder}",
     "ctrl_rl_learning fine_tune": "fine_tune no_such_policy --task {task} --minutes 0 --folder {folder}",
-    "ctrl_rl_learning improve": "improve no_such_bag --task {task} --policy no_such_policy",
+    "ctrl_rl_learning improve": "improve no_such_bag --task {task} --output {folder}/improved",
     "ctrl_rl_learning evaluate_offline": "evaluate_offline no_such_bag --task {task} --policy no_such_policy",
     "ctrl_rl_trials train": "train --tasks {task} --ways sparse --learners ppo --seeds 1 --samples 2048 "
     "--folder {folder}",
