@@ -1,4 +1,4 @@
-"""Bags that were damaged, or made to do damage: refused with one line, within bounds, or as good as new."""
+"""Damaged and malicious bags: rejected with a one-line error, within resource limits, or fully recovered."""
 
 import os
 import shutil
@@ -36,7 +36,7 @@ MEMORY = 1 << 30
 
 @dataclass(repr=False)
 class Sound:
-    """A bag, its messages, and what it says it holds."""
+    """Intact bag with its messages and metadata."""
 
     folder: Path
     messages: list
@@ -45,7 +45,7 @@ class Sound:
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """A bag of two types in several chunks, with everything that it and its messages say."""
+    """Bag of two types in several chunks, with all of its metadata and messages."""
     folder = tmp_path_factory.mktemp("sound") / "bag"
     with BagWriter(folder, chunk_bytes=900) as bag:
         bag.add_topic(topic("/odom", "nav_msgs/msg/Odometry"))
@@ -62,7 +62,7 @@ def contents(info):
 
 
 def outcome(read):
-    """Return what a reader found and why it refused."""
+    """Return a reader's findings and its reason for rejecting the bag."""
     try:
         return read(), ""
     except BagError as error:
@@ -136,7 +136,7 @@ def chunk(size, compressed, compression, start=0, end=0):
 
 
 def with_chunk(folder, content):
-    """Make a bag that was cut off, whose last record is this chunk."""
+    """Build a truncated bag whose last record is this chunk."""
     write_texts(folder, count=1)
     file = folder / f"{folder.name}_0.mcap"
     data = file.read_bytes()
@@ -157,7 +157,7 @@ def zstd_bomb(size):
 
 @pytest.fixture
 def bounded(in_turn):
-    """Give a function that runs bag commands in little memory and returns exit code and words of each."""
+    """Return a function that runs bag commands with little memory and returns the exit code and output of each."""
 
     def run(*commands):
         ends = in_turn("ctrl_rl_bags.cli", [list(map(str, command)) for command in commands], MEMORY)
@@ -193,7 +193,7 @@ def test_a_record_of_a_terabyte(tmp_path, bounded):
 
 
 def overlapping(path, count, size):
-    """Write a file whose chunks all begin at 0."""
+    """Write a file whose chunks all start at 0."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=size // 2, compression=CompressionType.ZSTD)
         writer.start("ros2")
@@ -239,8 +239,8 @@ HOSTILE = (
     ("x" * (9 << 20), "is too large"),
     ("rosbag2_bagfile_information: 7\n", "not a bag's metadata"),
     ("- 1\n", "not a bag's metadata"),
-    ("!!python/object/apply:os.getcwd []\n", "no YAML"),
-    ("\0", "no YAML"),
+    ("!!python/object/apply:os.getcwd []\n", "not YAML"),
+    ("\0", "not YAML"),
     ("", "not a bag's metadata"),
 )
 
@@ -369,7 +369,7 @@ def test_no_bytes_are_a_message_by_force(data):
 
 def test_a_header_of_another_kind(tmp_path):
     path = tmp_path / "bag.mcap"
-    for content, words in ((b"", "empty"), (MAGIC, "beyond the end"), (b"x" * 100, "no MCAP file")):
+    for content, words in ((b"", "empty"), (MAGIC, "beyond the end"), (b"x" * 100, "not an MCAP file")):
         path.write_bytes(content)
         with pytest.raises(BagError, match=words):
             bag_info(path)

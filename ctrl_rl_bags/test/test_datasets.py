@@ -1,4 +1,4 @@
-"""Datasets of other libraries from bags and back, bit for bit, read by the libraries' own loaders."""
+"""Conversion of bags to datasets of other libraries and back, bitwise equal, read by those libraries' loaders."""
 
 import json
 import os
@@ -33,7 +33,7 @@ FORMATS = {"lerobot": "pyarrow", "minari": "h5py"}
 
 
 def somewhere(random: np.random.Generator, k: int) -> np.ndarray:
-    """Return odometry of a robot that drives at about 0.1 m/s, with other bits in each number."""
+    """Return odometry of a robot driving at about 0.1 m/s, with varied bit patterns in all numbers."""
     numbers = 1e-3 * random.normal(size=13)
     numbers[[0, 6, 7]] += 0.01 * k, 1.0, 0.1
     numbers[3:7] /= np.linalg.norm(numbers[3:7])
@@ -41,7 +41,7 @@ def somewhere(random: np.random.Generator, k: int) -> np.ndarray:
 
 
 def write_drives(folder: Path, lengths=((1005, 1), (9, 2), (7, 4)), camera: bool = True) -> Path:
-    """Write a bag as a recorder does: odometry between the scans, episodes that end by (scans, outcome)."""
+    """Write a bag as a recorder does: odometry between the scans; each episode is given as (scans, outcome)."""
     make, random, t = MessageMaker(), np.random.default_rng(0), 10**15
     with BagWriter(folder) as bag:
         for name, kind in (
@@ -286,14 +286,14 @@ def test_hdf5_does_not_bring_in_other_files(bag: Path, tmp_path: Path, capsys) -
         place = [(str(tmp_path / "secret"), 0, h5py.h5f.UNLIMITED)]
         file.create_dataset("episode_1/observations/scan", shape, np.float32, external=place)
     assert main(["import", str(tmp_path / "set"), "--output", str(tmp_path / "bags")]) == 1
-    assert "lies in another file" in capsys.readouterr().err
+    assert "is stored in another file" in capsys.readouterr().err
 
 
 @pytest.mark.fault
 @pytest.mark.parametrize("kind", ["lerobot", "minari"])
 @pytest.mark.parametrize("blocks", [1, 8, 24, 32])
 def test_a_full_disk_is_one_line_and_leaves_nothing(kind: str, blocks: int, bag: Path, tmp_path: Path) -> None:
-    """HDF5 would end the process with a segmentation fault."""
+    """HDF5 alone would crash the process with a segmentation fault."""
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]) * 1024,) * 2)\n"
         "from ctrl_rl_bags.cli import main; sys.exit(main(sys.argv[2:]))"

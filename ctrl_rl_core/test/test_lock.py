@@ -1,4 +1,4 @@
-"""A lock keeps others out until its holder ends, by whatever means."""
+"""A lock excludes others until its holder ends, in any way."""
 
 import subprocess
 import sys
@@ -19,7 +19,11 @@ with exclusive_lock(Path(sys.argv[1])):
 
 def test_one_at_a_time(tmp_path):
     lock = tmp_path / ".lock"
-    with exclusive_lock(lock), pytest.raises(LockError, match="another call is at work there"), exclusive_lock(lock):
+    with (
+        exclusive_lock(lock),
+        pytest.raises(LockError, match="another process is using this folder"),
+        exclusive_lock(lock),
+    ):
         pass
     with exclusive_lock(lock):
         pass

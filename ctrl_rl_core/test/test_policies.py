@@ -1,4 +1,4 @@
-"""Interfaces of policies, what they observe, their files, and how other packages add kinds of them."""
+"""Interfaces of policies, their observations and files, and policy kinds of other packages."""
 
 import math
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_beams_without_a_range_read_what_they_mean() -> None:
 def test_the_same_bearings_are_seen_by_any_lidar(
     beams: int, first: float, forwards: bool, half_width: float, reduce: str
 ) -> None:
-    """The range is a smooth function of the bearing, so that each lidar tells almost the same."""
+    """The range is a smooth function of the bearing, so all lidars give almost the same result."""
     scan = ScanGeometry(beams, first, (TURN if forwards else -TURN) / beams, 0.1, 10.0)
     bearings = first + scan.angle_increment * np.arange(beams)
     part = {"source": "scan", "count": 9, "first": -2.0, "step": 0.5, "high": 10.0}
@@ -111,7 +111,7 @@ def test_the_same_bearings_are_seen_by_any_lidar(
         ({"action": {**DRIVE["action"], "choices": [[0.0, 0.0], [0.0, 5.0]]}}, "is not between low and high"),
         ({"rest": [1.0, 0.0]}, "stands at 0 m/s"),
         ({"period": 0.0}, "greater than 0"),
-        ({**FLY, "rest": [0.0, 0.0]}, "needs the thrusts that carry it"),
+        ({**FLY, "rest": [0.0, 0.0]}, "needs its hover thrusts"),
         ({**FLY, "observation": [{"source": "pose", "names": ["x"]}]}, "a planar_quadrotor has no pose"),
         ({"speed": 1.0}, "Extra inputs"),
     ],
@@ -192,7 +192,7 @@ def test_shipped_policies_are_whole() -> None:
 
 
 def onnx_file(folder: Path, size: int = 6, outputs: int = 2, bias: float = 0.5, inputs: int = 1) -> Path:
-    """Write a model that always gives the same outputs, and its manifest."""
+    """Write a model with constant outputs, and its manifest."""
     onnx = pytest.importorskip("onnx")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     given = [helper.make_tensor_value_info(f"observation_{i}", kind, ["batch", size]) for i in range(inputs)]
@@ -245,7 +245,7 @@ def test_an_onnx_model_without_manifest_or_runtime_says_what_to_do(
 
 
 def hostile_model(kind: str) -> bytes:
-    """Return an ONNX model that answers, but not within the time, or the memory, or not by itself."""
+    """Return an ONNX model that exceeds the time or memory limit, or crashes."""
     onnx = pytest.importorskip("onnx")
     helper, number = onnx.helper, onnx.TensorProto
     given = helper.make_tensor_value_info("observation", number.FLOAT, ["batch", 6])
@@ -304,7 +304,7 @@ def hostile_model(kind: str) -> bytes:
     [
         ("endless", "takes more than 2 s"),
         ("large", "takes more than|the model fails"),
-        ("elsewhere", "keeps its weights in another file"),
+        ("elsewhere", "stores its weights in another file"),
     ],
 )
 def test_a_hostile_onnx_model_is_refused_in_bounded_time_and_memory(

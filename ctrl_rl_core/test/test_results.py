@@ -77,12 +77,12 @@ def test_values_of_other_seeds_join_those_that_the_same_terms_made(tmp_path: Pat
     alone = [row([9.0], (0,))]
     assert _figures(with_others(file, alone)) == alone, "rows of methods are replaced as a whole"
     write_results(file, "returns", [0], [row([1.0, 2.0], (0,))])
-    with pytest.raises(ResultsError, match="one a value"):
+    with pytest.raises(ResultsError, match="one per value"):
         with_others(file, [row([9.0], (0,))], same_metric=True)
 
 
 def _figures(rows: list[Result]) -> list[Result]:
-    """Return rows without the command that the tests run by."""
+    """Return rows without the command that runs the tests."""
     return [replace(row, origins=()) for row in rows]
 
 

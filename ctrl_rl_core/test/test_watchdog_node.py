@@ -1,4 +1,4 @@
-"""The watchdog: commands pass, and zeros take their place when they stop, whoever was killed, frozen or silent."""
+"""The watchdog: commands pass, and zeros replace them when they stop because of a kill, a freeze or silence."""
 
 import itertools
 import math
@@ -30,7 +30,7 @@ SHARED = ("--topic", "/shared/cmd_vel_raw")
 
 
 class Base:
-    """The robot's side: what arrives on cmd_vel, and what the watchdog of its namespace says."""
+    """The robot's side: messages on cmd_vel, and the status of the namespace's watchdog."""
 
     def __init__(self, kind: type = TwistStamped, namespace: str = "") -> None:
         self.node = Node("base", namespace=namespace)
@@ -97,7 +97,7 @@ def base() -> Iterator[Base]:
 
 @pytest.fixture(scope="module")
 def shared(run_shared_node: Callable) -> Iterator[tuple[Base, Any]]:
-    """A base and its watchdog, for the tests that leave the watchdog as it was."""
+    """A base and its watchdog, for tests that leave the watchdog unchanged."""
     watchdog = run_shared_node("ctrl_rl_core", "watchdog", *QUICK, "repeat_for:=0.0", remap=("__ns:=/shared",))
     base = Base(namespace="/shared")
     base.until(lambda: base.raw.get_subscription_count() > 0)
@@ -107,7 +107,7 @@ def shared(run_shared_node: Callable) -> Iterator[tuple[Base, Any]]:
 
 @pytest.fixture
 def still(shared: tuple[Base, Any]) -> Base:
-    """The shared base, which stands: a driver of the test before is gone."""
+    """The shared base at rest, after the driver of the previous test is gone."""
     base, _ = shared
     base.speeds.clear()
     base.until(lambda: base.speeds[-5:] == [0.0] * 5)
@@ -243,7 +243,7 @@ def test_it_warns_of_whoever_drives_the_robot_past_it(still: Base, shared: tuple
 
 
 class _Faulty(WatchdogNode):
-    """One whose timer fails, so that it would not notice a silence."""
+    """A watchdog whose timer fails, so that it would not notice silence."""
 
     def _tick(self) -> None:
         raise RuntimeError("out of memory")
@@ -296,7 +296,7 @@ def test_it_starts_without_the_heavy_libraries() -> None:
 
 @pytest.mark.parametrize("behind", [5.0, -5.0])
 def test_zeros_are_stamped_by_the_clock_of_the_commands(still: Base, behind: float) -> None:
-    """Between commands that carry the time of a scan, or another computer's, a zero does not turn the clock back."""
+    """Between commands with the stamp of a scan or of another computer, a zero does not set the clock back."""
 
     def driven() -> bool:
         still.command(SPEED, stamp=time.time() - behind)
@@ -351,7 +351,7 @@ def test_a_quadrotor_without_a_pilot_hovers_then_its_rotors_stop(run_node: Calla
         until(lambda: thrusts[-1] == (6.0, 6.0))
         until(told("each rotor pair gives 6 N"))
         until(lambda: thrusts[-1] == (0.0, 0.0))
-        until(told("the rotors stand"))
+        until(told("the rotors are stopped"))
         thrusts.clear()
         until(flies)
         rest = {(6.0, 6.0), (0.0, 0.0)}
@@ -369,7 +369,7 @@ def test_a_quadrotor_without_a_pilot_hovers_then_its_rotors_stop(run_node: Calla
 def test_two_watchdogs_on_one_robot_both_stand_and_name_each_other(
     base: Base, run_node: Callable, source: Callable
 ) -> None:
-    """Started by two launch files, one behind a filter that sends nothing and one behind the driver itself."""
+    """Started by two launch files: one behind a filter that sends nothing, one behind the driver itself."""
     one = run_node("ctrl_rl_core", "watchdog", *QUICK)
     source()
     base.until(lambda: base.drives)

@@ -1,4 +1,4 @@
-"""The flight guard as a real node between a pilot, a real watchdog and the simulator: what passes, and each fault."""
+"""The flight guard as a real node between a pilot, a real watchdog and the simulator: passing and every fault."""
 
 import math
 import signal
@@ -27,23 +27,23 @@ FULL = (MODEL.most, MODEL.most)
 
 
 _RATE = 120.0
-"""Messages of odometry in a second."""
+"""Rate of odometry [Hz]."""
 _EVERY = 6
-"""Messages of odometry from one pair of raw thrusts to the next."""
+"""Odometry messages per pair of raw thrusts."""
 _DUE = 0.02
-"""Time after an answer from which on odometry has to be answered: the guard's period is 0.025 [s]."""
+"""Time after an answer from which odometry must be answered; the guard's period is 0.025 [s]."""
 
 
 class Pilot:
-    """Sends raw thrusts 20 times a second, and hands odometry on from the simulator to the guard with faults.
+    """Pilot that sends raw thrusts at 20 Hz and forwards odometry from the simulator to the guard, with faults.
 
     Attributes:
         raw: Thrusts T_1 and T_2 that are sent; None for none.
-        odometry: Changes odometry before it is handed on; returns None for none.
+        odometry: Modifier of odometry before it is forwarded; returns None to drop it.
         told: Messages of the guard.
-        thrusts: Thrusts that arrived at the simulator.
+        thrusts: Thrusts received by the simulator.
         episode: Last state of the episode.
-        pose: Last position by the simulator's odometry, x and z [m], and the speed there [m/s].
+        pose: Last position x and z [m] and velocity [m/s] in the simulator's odometry.
     """
 
     def __init__(self) -> None:
@@ -67,20 +67,20 @@ class Pilot:
         self._step = self.node.create_client(StepWorld, "sim_bridge/step")
 
     def until(self, fits: Callable[[], bool], timeout: float = 120.0) -> None:
-        """Go on until something fits."""
+        """Run until a condition holds."""
         deadline = time.monotonic() + timeout
         while not fits():
             rclpy.spin_once(self.node, timeout_sec=0.005)
             assert time.monotonic() < deadline, (self.told[-1:], self.thrusts[-1:], self.pose, self.episode)
 
     def until_told(self, mode: int, why: str = "") -> FlightStatus:
-        """Go on until the guard tells a mode anew, with some words in its reason."""
+        """Run until the guard reports a mode in a new message, with given text in its reason."""
         self.told.clear()
         self.until(lambda: any(each.mode == mode and why in each.why for each in self.told))
         return next(each for each in self.told if each.mode == mode and why in each.why)
 
     def begin(self) -> None:
-        """Begin another flight, with a pilot that lets it hover."""
+        """Start another flight, with hover thrusts from the pilot."""
         self.raw, self.odometry = (REST, REST), lambda odometry: odometry
         self.pause(False)
         episode = self._answer_of(self._reset, ResetWorld.Request(seed=1)).episode
@@ -89,11 +89,11 @@ class Pilot:
         self.until(lambda: any(each.mode == FlightStatus.PASSED and each.raw_t1 == REST for each in self.told))
 
     def pause(self, paused: bool) -> None:
-        """Let the world stand, or go on."""
+        """Pause or resume the simulation."""
         assert self._answer_of(self._pause, SetBool.Request(data=paused)).success
 
     def step(self) -> None:
-        """Advance a world that stands to the next odometry, and wait where the guard has to answer it."""
+        """Advance a paused simulation to the next odometry, and wait if the guard must answer it."""
         heard = self._heard
         assert self._answer_of(self._step, StepWorld.Request(duration=1.0 / _RATE)).success
         self.until(lambda: self._heard > heard)
@@ -141,7 +141,7 @@ def start_guard(run_shared_node: Callable[..., Any]) -> Callable[[], Any]:
 
 @pytest.fixture(scope="module")
 def chain(start_guard: Callable[[], Any], run_shared_node: Callable[..., Any]) -> Iterator[SimpleNamespace]:
-    """Give pilot and guard, with the simulator and the watchdog around them."""
+    """Return pilot and guard, connected to the simulator and the watchdog."""
     rclpy.init()
     pilot = Pilot()
     run_shared_node(
@@ -186,7 +186,7 @@ def test_thrusts_pass_and_full_thrust_touches_nothing(pilot: Pilot) -> None:
         pilot.step()
     changed = next(each for each in pilot.told if each.mode == FlightStatus.CORRECTED)
     assert (changed.t1, changed.t2) != FULL
-    assert "no escape is left" in changed.why
+    assert "leave no escape" in changed.why
     assert pilot.episode.outcome.value in (TaskOutcome.RUNNING, TaskOutcome.GOAL, TaskOutcome.TIMEOUT)
     assert pilot.episode.smallest_clearance > 0.0
 

@@ -98,7 +98,7 @@ def test_the_command_keeps_drives_and_goes_on(
     assert "give another file" in capsys.readouterr().err
     with exclusive_lock(tmp_path / ".barn.json.lock"):  # two writers would lose each other's drives
         assert run(monkeypatch, *words) == 1
-    assert "another call is at work" in capsys.readouterr().err
+    assert "another process is using" in capsys.readouterr().err
 
 
 def test_drives_are_the_same_by_one_worker_and_by_two(

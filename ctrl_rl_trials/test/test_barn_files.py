@@ -43,7 +43,7 @@ def test_a_world_has_its_cylinders_and_walls_and_what_moves(tmp_path: Path) -> N
         (world(cylinder("a", 1.0, 2.0, radius=-1.0)), "its radius must be 1 positive numbers"),
         (world(cylinder("a", 1.0, 2.0, plugin="../move.so")), "its plugin must be a file name"),
         (world("<model name='a'><pose>0 0 0 0 0 0</pose></model>"), "has no single cylinder or box"),
-        (b"\xff\xfe", "is no text"),
+        (b"\xff\xfe", "is not text"),
     ],
 )
 def test_what_is_no_world_is_refused(tmp_path: Path, content: str | bytes, words: str) -> None:

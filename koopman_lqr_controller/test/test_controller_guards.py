@@ -85,7 +85,7 @@ def diagnosed(robot: Robot, words: str, seconds: float = 10.0) -> DiagnosticStat
 def test_outside_what_training_saw_it_stops_says_so_and_recovers(
     robot: Robot, run_node: Callable, tmp_path: Path, kind: str
 ) -> None:
-    """One mechanism for both kinds of policy: the middle of the corridor is inside, beside the wall is outside."""
+    """The same mechanism for both kinds of policy: the corridor's centre is inside, a place by the wall is outside."""
     file = tmp_path / "policy.safetensors"
     policy = load_policy(find_policy("curved_corridor_edmd")) if kind == "edmd" else learnt(file, None)
     decisions = [policy.decide(*seen(corridor(offset)), 0.0, 0.0).z for offset in (0.0, 0.2)]

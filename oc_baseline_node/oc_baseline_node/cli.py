@@ -57,7 +57,7 @@ def _setting(text: str) -> tuple[str, float]:
 def _distance(text: str) -> float:
     value = finite_number(text)
     if value < 0.0:
-        raise ValueError(f"is {value:g}: give metres, zero or more")
+        raise ValueError(f"is {value:g}: give metres, at least 0")
     return value
 
 

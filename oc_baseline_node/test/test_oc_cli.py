@@ -48,7 +48,7 @@ def test_a_trajectory_is_solved_and_drawn(tmp_path: Path, capsys: pytest.Capture
         (["solve", "quad_trap", "--start=0,0,0.6,-2,0,0", "--solver", "ipopt"], "ipopt: "),
         (["extract", "car_ttr"], "oc: task 'car_ttr' has no part 'optimal_control'"),
         (["extract", "nowhere"], "oc: no task 'nowhere'"),
-        (["fit", "nowhere", "--output", "x"], "oc: nowhere holds no value data"),
+        (["fit", "nowhere", "--output", "x"], "oc: nowhere has no value data"),
         (
             ["map", "nowhere.safetensors", "--output", "x.png"],
             "oc: no value 'nowhere.safetensors': there are",

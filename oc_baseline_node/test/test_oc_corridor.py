@@ -1,4 +1,4 @@
-"""The problem in a corridor: coordinates of the path, trajectories that keep clear of the real walls, their values."""
+"""The problem in a corridor: path coordinates, trajectories clear of the real walls, and their values."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_the_value_that_comes_with_the_package_rises_along_the_corridor():
 
 def test_refusals():
     box = load_navigation_task("car_navigation").obstacles[:1]
-    with pytest.raises(OcError, match="in a corridor takes no obstacles"):
+    with pytest.raises(OcError, match="in a corridor does not support obstacles"):
         formulate(TASK.model_copy(update={"obstacles": box}))
     with pytest.raises(OcError, match="must be 'dubins_car', not 'bicycle'"):
         path_car(make_system("bicycle"), PATH)

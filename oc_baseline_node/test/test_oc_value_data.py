@@ -1,4 +1,4 @@
-"""Value data: Eq. 3.13 against its formula, folders that outlast a kill."""
+"""Value data: Eq. 3.13 against its formula, and folders that survive a kill."""
 
 import signal
 import subprocess
@@ -150,7 +150,7 @@ def test_a_quadrotors_doomed_starts_are_told_from_the_rest(tmp_path: Path) -> No
 
 
 def test_one_call_at_a_time_works_in_a_folder(car: OptimalControlProblem, tmp_path: Path) -> None:
-    with exclusive_lock(tmp_path / LOCK), pytest.raises(LockError, match="another call is at work there"):
+    with exclusive_lock(tmp_path / LOCK), pytest.raises(LockError, match="another process is using this folder"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
     assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 
@@ -189,5 +189,5 @@ def test_a_folder_of_other_data_is_left_alone(car: OptimalControlProblem, tmp_pa
     (tmp_path / "settings.json").unlink()
     with pytest.raises(OcError, match="which is no value data"):
         make_data(car, DataSettings(1, chunk=1), tmp_path, progress=False)
-    with pytest.raises(OcError, match="holds no value data"):
+    with pytest.raises(OcError, match="has no value data"):
         load_data(tmp_path, car)

@@ -1,4 +1,4 @@
-"""Learning from bags, end to end: a team is recorded, its bag is learnt from, and the policy is better than before."""
+"""End-to-end learning from bags: record a team, learn from its bag and compare the policies before and after."""
 
 import json
 
@@ -23,7 +23,7 @@ TASK = "tool_delivery"
 
 
 class CutOffError(Exception):
-    """Stands for a kill between two iterations."""
+    """Simulated kill between two iterations."""
 
 
 def cut_off(*_):
@@ -32,7 +32,7 @@ def cut_off(*_):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A policy that has learnt nothing yet, and a bag of its decisions."""
+    """Untrained policy and a bag of its decisions."""
     folder = tmp_path_factory.mktemp("recorded")
     run = OptionRun(TASK, "async", 0)
     run.policy(run.learner(), {}).save(folder / "policy.safetensors")
@@ -164,5 +164,5 @@ def test_a_policy_that_does_not_draw_or_did_not_say_so_is_refused(tmp_path, reco
     OptionPolicy(environment.agents, "table", False, as_numpy(stranger.network)).save(tmp_path / "s.safetensors")
     with TeamBag(tmp_path / "lie") as lie:
         play_into(lie, environment, policy.joint, OptionPolicy.load(tmp_path / "s.safetensors").digest, 1)
-    with pytest.raises(CtrlRlError, match="is not true of it"):
+    with pytest.raises(CtrlRlError, match="do not match it"):
         train_run(BagRun((tmp_path / "lie",), tmp_path / "s.safetensors"), RunOptions(tmp_path / "runs", 1))

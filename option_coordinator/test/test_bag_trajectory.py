@@ -1,4 +1,4 @@
-"""From bags to trajectories: what a simulated team did, written as a coordinator would, is read again as it was."""
+"""Trajectories from bags: a simulated team's record, written like a coordinator's, is read back unchanged."""
 
 import shutil
 from dataclasses import fields
@@ -50,7 +50,7 @@ def test_what_is_read_is_what_happened(tmp_path, task, synchronisation, drop):
 
 
 class Tape:
-    """Decisions of one episode, to be written with faults."""
+    """Decisions of one episode, for writing with faults."""
 
     def __init__(self):
         environment = make_environment("tool_delivery")
@@ -107,10 +107,10 @@ def test_two_coordinators_at_a_time_are_kept_apart(tmp_path, tape):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"absent": np.array([False])}, "not all of 3 robots"),
+        ({"absent": np.array([False])}, "not all for 3 robots"),
         ({"observations": np.zeros(3, np.float32)}, "not as long"),
-        ({"options": np.array([9, 0, 0], np.int32)}, "not those of who is there"),
-        ({"options": np.array([-1, 0, 0], np.int32)}, "not those of who is there"),
+        ({"options": np.array([9, 0, 0], np.int32)}, "do not match the robots that are present"),
+        ({"options": np.array([-1, 0, 0], np.int32)}, "do not match the robots that are present"),
         ({"legal": np.zeros(12, bool)}, "not legal"),
         ({"reward": np.nan}, "finite"),
         ({"discount": 0.0}, "discount 0"),
@@ -130,7 +130,7 @@ def test_bags_that_hold_nothing_to_learn_from_are_refused(tmp_path, tape):
         writer.write("/word", b"\x00\x01\x00\x00\x01\x00\x00\x00\x00", 1)
     with pytest.raises(CtrlRlError, match="no topic of ctrl_rl_msgs/msg/JointOptionStep"):
         recordings(tmp_path / "other")
-    with pytest.raises(CtrlRlError, match="no decision is followed"):
+    with pytest.raises(CtrlRlError, match="no decision has a successor"):
         recordings(tape.write(tmp_path / "one", skip=range(1, len(tape.rows))))
     whole = tape.write(tmp_path / "whole")
     cut = shutil.copytree(whole, tmp_path / "cut")

@@ -1,4 +1,4 @@
-"""What a coordinator promises, one fault at a time."""
+"""Guarantees of a coordinator, tested with one fault at a time."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def running(grant, elapsed=0.0, **changes):
 
 
 class OneClock:
-    """A coordinator all of whose clocks agree, and that is never frozen: it ticks five times a second."""
+    """Coordinator with identical, uninterrupted clocks; it ticks five times a second."""
 
     def __init__(self, *given, **named):
         self.core = Coordinator(*given[:3], at(given[3]), *given[4:], **named)
@@ -225,7 +225,7 @@ def test_the_last_robot_to_end_closes_the_episode():
 
 def test_the_ledger_refuses_what_cannot_be():
     entry = RobotState("r0")
-    with pytest.raises(OptionError, match="heard first"):
+    with pytest.raises(OptionError, match=r"heard\(\) first"):
         entry.ask(1, 0.0)
     entry.heard(7, 0.0)
     for method in (entry.acknowledge, entry.cancel, lambda: entry.grant(1, 0, 0.0, 0.0)):

@@ -1,4 +1,4 @@
-"""Robots that vanish and return: in the environment, in what a policy sees, and in what it learns from that."""
+"""Robots that disappear and return: in the environment, the policy's observations and learning."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ ALONE, TOGETHER = range(2)
 
 
 class Lifting:
-    """Two agents choose at every step; each gets 1 for `TOGETHER` while both are there, and for `ALONE` else."""
+    """Two agents choose at each step; both get 1 for option `TOGETHER` if both are present, for `ALONE` otherwise."""
 
     agents = (Agent("left", ("alone", "together"), 1), Agent("right", ("alone", "together"), 1))
     step_limit, time_step, room = 20, 1.0, ((0.0, 1.0), (0.0, 1.0))
@@ -109,7 +109,7 @@ def test_without_a_chance_nothing_is_drawn():
 
 @pytest.mark.parametrize("head", HEADS)
 def test_absent_and_choosing_look_different_to_a_policy_that_is_told(tmp_path, head):
-    """What it says of one robot's options depends on whether the other is absent or chooses too; as in torch."""
+    """Probabilities for one robot's options depend on whether the other is absent or chooses too; the same in torch."""
     environment = OptionEnvironment(Lifting(), drop=1.0)
     torch.manual_seed(0)
     learner = Mappo(environment.agents, head, presence=True)
@@ -152,7 +152,7 @@ def test_what_to_do_without_the_other_is_learnt(head):
 
 def test_methods_that_have_no_place_for_it_say_so():
     for method in ("partial", "mac_dqn"):
-        with pytest.raises(CtrlRlError, match="leave --drop away"):
+        with pytest.raises(CtrlRlError, match="omit --drop"):
             OptionRun("tool_delivery", method, 0, drop=0.3).learner()
     run = OptionRun("tool_delivery", "async_autoregressive", 0, drop=0.3)
     assert run.name == "tool_delivery-async_autoregressive-drop0.3-s0"

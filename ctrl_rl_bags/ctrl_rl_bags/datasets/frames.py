@@ -204,5 +204,5 @@ def read_own_info(file: Path) -> Mapping[str, Any]:
     content = parse_json(as_text(read_bytes(file, LARGEST_INFO)))
     own = content.get(_KEY) if isinstance(content, dict) else None
     if not isinstance(own, dict):
-        raise DatasetError("was not written by `bag export`: it does not say what its frames are")
+        raise DatasetError("was not written by `bag export`: it does not describe its frames")
     return own

@@ -271,4 +271,4 @@ def _picture(content: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
                 raise DatasetError(f"a picture has {picture.width} x {picture.height} pixels, not as the layout says")
             return np.asarray(picture.convert("RGB"), dtype=np.uint8)
     except (FileError, OSError, TypeError, ValueError, SyntaxError):
-        raise DatasetError("a picture is no PNG file") from None
+        raise DatasetError("an image is not a PNG file") from None

@@ -259,7 +259,7 @@ def _array(group: h5py.Group, place: str, column: Column) -> h5py.Dataset:
         group = _member(group, part, h5py.Group)
     array = _member(group, leaf, h5py.Dataset)
     if array.external or array.is_virtual:
-        raise DatasetError(f"{array.name} lies in another file: it is not read from there")
+        raise DatasetError(f"{array.name} is stored in another file, which is not read")
     if array.dtype != np.dtype(column.dtype) or array.shape[1:] != column.shape or array.ndim < 1:
         raise DatasetError(f"{array.name} is {array.dtype} of shape {array.shape}, which is not what the layout says")
     return array

@@ -93,10 +93,10 @@ def parse_yaml(text: str | bytes) -> Any:
     try:
         for event in yaml.parse(text, Loader=_LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise DamagedError("it has an alias, which no bag needs")
+                raise DamagedError("it has an alias, which is not allowed")
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST_YAML:
                 raise DamagedError(f"it is nested more than {_DEEPEST_YAML} levels deep")
         return yaml.load(text, _LOADER)
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        raise DamagedError(f"it is no YAML: {reason(error)}") from None
+        raise DamagedError(f"it is not YAML: {reason(error)}") from None

@@ -89,7 +89,7 @@ class McapIndex:
 
     def _open(self) -> None:
         if self._stream.read(len(MAGIC)) != MAGIC:
-            raise DamagedError("it is no MCAP file" if self._size else "it is empty")
+            raise DamagedError("it is not an MCAP file" if self._size else "it is empty")
         self._read_header()
         self._footer_at = self._size - len(MAGIC) - _FOOTER.size
         if self._footer_at < self._data_at:
@@ -100,7 +100,7 @@ class McapIndex:
         if tail[_FOOTER.size :] != MAGIC or (opcode, length) != (Opcode.FOOTER, 20):
             raise DamagedError("it was cut off")
         if start and not self._data_at <= start <= self._footer_at:
-            raise DamagedError("its summary does not lie in it")
+            raise DamagedError("its summary is outside the file")
         self._summary_at = start or self._footer_at
         if not (start and self._read_summary(tail[: _FOOTER.size - 4])):
             self._scan()
@@ -153,7 +153,7 @@ class McapIndex:
         self._stream.seek(min(index.offset, self._size))
         opcode, size = RECORD.unpack(read_exactly(self._stream, RECORD.size, RECORD.size))
         if opcode != Opcode.METADATA or size + RECORD.size != index.length:
-            raise DamagedError("its index has metadata where there is none")
+            raise DamagedError("its index refers to missing metadata")
         record = parse(opcode, read_exactly(self._stream, size, self._limits.topics_bytes))
         assert record is not None
         self._add_topic(record, size)
@@ -171,7 +171,7 @@ class McapIndex:
         if tail + 28 + name_size > at + length:
             raise DamagedError("its index of chunks cannot be read")
         if offset < self._data_at or offset + size_of_record > self._summary_at or start > end:
-            raise DamagedError("its index has a chunk that does not lie in it")
+            raise DamagedError("its index has a chunk outside the file")
         self._chunks.extend((start, end, offset, size_of_record, uncompressed))
         self.chunk_channels.append(self._same(channels) if channels else None)
 

@@ -95,7 +95,7 @@ class McapReader:
                 left[message[:2]] -= 1
                 yield message
         if start is None and stop is None and any(left.values()):
-            raise DamagedError("it does not hold as many messages as it says")
+            raise DamagedError("its message count is wrong")
 
     def check(self) -> None:
         """Read and verify everything before the summary once.
@@ -171,7 +171,7 @@ class McapReader:
         self._stream.seek(offset)
         opcode, length = RECORD.unpack(read_exactly(self._stream, RECORD.size, RECORD.size))
         if opcode != Opcode.CHUNK or RECORD.size + length != record_length:
-            raise DamagedError("its index has a chunk where there is none")
+            raise DamagedError("its index refers to a missing chunk")
         content = read_exactly(self._stream, length, self._limits.chunk_bytes + READ_AT_ONCE)
         if chunk_head(content)[:3] != (start, end, size):
             raise DamagedError("a chunk is not what the index says")

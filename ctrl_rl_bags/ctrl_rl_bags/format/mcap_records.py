@@ -121,10 +121,10 @@ def chunk_head(content: bytes, whole: bool = True) -> ChunkHead:
         name = bytes(content[name_at : name_at + length]).decode()
         (data_size,) = struct.unpack_from("<Q", content, name_at + length)
     except (struct.error, ValueError):
-        raise DamagedError("a chunk's head cannot be read") from None
+        raise DamagedError("a chunk's header cannot be read") from None
     data_at = name_at + length + 8
     if whole and data_size != len(content) - data_at:
-        raise DamagedError("a chunk's data is not as long as its head says")
+        raise DamagedError("a chunk's data length contradicts its header")
     return ChunkHead(start, end, size, crc, name, data_at)
 
 
@@ -139,7 +139,7 @@ def decompress(content: bytes, limit: int) -> bytes:
         raise DamagedError(f"a chunk of {head.size:,} bytes, where at most {limit:,} are read: raise --max-chunk-mb")
     records = decompress_some(head.compression, content[head.data_at :], head.size)
     if len(records) != head.size:
-        raise DamagedError("a chunk is not as large as its head says")
+        raise DamagedError("a chunk's size contradicts its header")
     if head.crc and zlib.crc32(records) != head.crc:
         raise DamagedError("a chunk's checksum is wrong")
     return records
@@ -179,7 +179,7 @@ def index_messages(
             channel, _, time, _ = MESSAGE.unpack_from(records, at)
             if channel in chosen:
                 if not first <= time <= last:
-                    raise DamagedError("a chunk has a message outside of its times")
+                    raise DamagedError("a chunk has a message outside of its time range")
                 channels.append(channel)
                 times.append(time)
                 places.append(at)

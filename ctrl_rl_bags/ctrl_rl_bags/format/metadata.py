@@ -211,7 +211,7 @@ def mcap_topic(channel: Channel, schema: Schema | None) -> Topic:
     try:
         definition = schema.data.decode()
     except UnicodeDecodeError:
-        raise DamagedError("a message definition is no text") from None
+        raise DamagedError("a message definition is not text") from None
     return Topic(
         name=channel.topic,
         type=schema.name,

@@ -32,7 +32,7 @@ class SqliteReader:
         self.custom_data: dict[str, str] = {}
         with open_regular(path) as (stream, _):
             if stream.read(len(_SQLITE_MAGIC)) != _SQLITE_MAGIC:
-                raise DamagedError("it is no sqlite3 file")
+                raise DamagedError("it is not an sqlite3 file")
         # A process-wide limit: a row may be computed, and thus have any size.
         apsw.hard_heap_limit(2 * limits.open_bytes)
         self._reader = Sqlite3Reader(path)
@@ -58,7 +58,7 @@ class SqliteReader:
         try:
             for connection, time, data in self._reader.messages(chosen, start, stop):
                 if not (isinstance(time, int) and isinstance(data, bytes) and 0 <= time < 1 << 63):
-                    raise DamagedError("a message is no message")
+                    raise DamagedError("a message is invalid")
                 if len(data) > self._limits.chunk_bytes:
                     raise DamagedError(
                         f"a message of {len(data):,} bytes, where at most {self._limits.chunk_bytes:,} are read"

@@ -98,7 +98,7 @@ class _Cost(NamedTuple):
 def _parsed(definition: Definition) -> dict[str, Any]:
     kind, text = definition.type, definition.text
     if len(kind) > _LONGEST_NAME or not _TYPE_NAME.fullmatch(kind):
-        raise DamagedError(f"{printable(kind)!r} is no name of a message type")
+        raise DamagedError(f"{printable(kind)!r} is not a message type name")
     if not text:
         return {}
     if len(text) > _LONGEST_DEFINITION:
@@ -120,7 +120,7 @@ def _cost(kind: str, known: dict[str, Any], costs: dict[str, _Cost], depth: int)
     if kind not in known:
         raise DamagedError(f"type {printable(kind)} is not defined in it")
     if depth > _DEEPEST:
-        raise DamagedError(f"its types hold each other more than {_DEEPEST} levels deep")
+        raise DamagedError(f"its types are nested more than {_DEEPEST} levels deep")
     objects, least, worst = 1, 0, 0.0
     for _, field in known[kind][1]:
         cost = _field_cost(field, known, costs, depth)

@@ -45,7 +45,7 @@ def check_type(name: str) -> None:
     """
     if not is_type_name(name):
         shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
-        raise UnknownTypeError(f"{shown!r} is no name of a message type: it must be like package/msg/Name")
+        raise UnknownTypeError(f"{shown!r} is not a message type name: it must be like package/msg/Name")
     package, _, short = name.partition("/msg/")
     try:
         interfaces, _ = get_resource("rosidl_interfaces", package)

@@ -32,16 +32,16 @@ class RecorderNode(SuiteNode):
     PARAMETERS = (
         Parameter("output", "", "Folder of the bag; empty: bag_<date>-<time> in the working folder.", kind="path"),
         Parameter("topics", [""], "Topics to record; empty: all, also those that appear later.", kind="name"),
-        Parameter("exclude", [""], "Regular expressions of topics that are not recorded."),
+        Parameter("exclude", [""], "Regular expressions of topics to exclude."),
         Parameter("include_hidden", False, "Record topics with a name part that begins with _ too."),
-        Parameter("max_file_mb", 1000, "Size at which the next file begins [MB]; 0: one file.", 0, 1_000_000),
-        Parameter("max_file_s", 0.0, "Time after which the next file begins [s]; 0: one file.", 0.0, 1e6),
+        Parameter("max_file_mb", 1000, "Size at which the next file starts [MB]; 0: one file.", 0, 1_000_000),
+        Parameter("max_file_s", 0.0, "Time after which the next file starts [s]; 0: one file.", 0.0, 1e6),
         Parameter(
             "min_free_mb", 64, "Free disk space below which the recorder stops with a complete bag [MB].", 0, 1_000_000
         ),
-        Parameter("queue_depth", 2000, "Messages of a topic that the middleware may keep for it.", 1, 1_000_000),
-        Parameter("max_queue_mb", 128, "Memory of all messages that wait to be written [MB].", 1, 1_000_000),
-        Parameter("digest_files", [""], "NAME=PATH: files (task, grid, policy) whose SHA-256 the bag keeps."),
+        Parameter("queue_depth", 2000, "Queue depth of a topic in the middleware.", 1, 1_000_000),
+        Parameter("max_queue_mb", 128, "Memory for messages waiting to be written [MB].", 1, 1_000_000),
+        Parameter("digest_files", [""], "NAME=PATH: files (task, grid, policy) whose SHA-256 is stored in the bag."),
     )
 
     def __init__(self) -> None:
@@ -98,14 +98,14 @@ class RecorderNode(SuiteNode):
         except BagError as error:
             self.get_logger().error(str(error))
         if not finished:
-            self.get_logger().error(f"the disk does not answer: recover {self._writer.folder} with bag recover")
+            self.get_logger().error(f"the disk does not respond: recover {self._writer.folder} with bag recover")
         count, used = self._writer.message_count, sum(count > 0 for count in self._writer.message_counts.values())
         dropped = f", {self._queue.dropped.total()} dropped" if self._queue.dropped else ""
         lost = f"{self._topics.lost} lost{dropped}"
         self.get_logger().info(f"{count} messages of {used} topics, {lost}, in {self._writer.folder}")
 
     def _say_dropped(self, name: str) -> None:
-        self.get_logger().warning(f"{name}: messages are dropped, as they come faster than the disk takes them")
+        self.get_logger().warning(f"{name}: messages are dropped, because they arrive faster than the disk can write")
 
     def _discover(self) -> None:
         self._queue.check()

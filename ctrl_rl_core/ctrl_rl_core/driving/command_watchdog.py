@@ -60,7 +60,7 @@ class CommandChannel(Protocol):
         """Describe what the robot does after a silence of this duration [s]."""
 
 
-BASE_FRAME = Parameter("base_frame", "base_link", "Frame of what is sent before the first command.")
+BASE_FRAME = Parameter("base_frame", "base_link", "Frame of the messages before the first command.")
 
 
 class CommandWatchdog(SuiteNode):

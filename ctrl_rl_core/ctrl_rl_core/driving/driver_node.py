@@ -42,7 +42,7 @@ DRIVER_PARAMETERS = (
 MAX_DISTANCE = Parameter(
     "max_distance",
     0.0,
-    "Distance by odometry after which the robot stands until this parameter is set again [m]; 0.0 for none.",
+    "Odometry distance after which the robot stops until this parameter is set again [m]; 0.0 for none.",
     0.0,
     1e6,
     live=True,

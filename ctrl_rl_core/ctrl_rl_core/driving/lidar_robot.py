@@ -30,7 +30,7 @@ _SCAN_CHECKS = (
     Parameter(
         "min_echo_share",
         0.3,
-        "Least share of beams with an echo; the robot stops below it; 0.0 to drive in the open.",
+        "Minimum fraction of beams with an echo, below which the robot stops; 0.0 to drive in the open.",
         0.0,
         1.0,
         live=True,
@@ -46,7 +46,7 @@ _SCAN_CHECKS = (
     Parameter(
         "frozen_scans",
         2,
-        "Number of identical scans in a row that stop a moving robot; 0 for never.",
+        "Number of consecutive identical scans that stop a moving robot; 0 for never.",
         0,
         1000,
         live=True,
@@ -56,7 +56,7 @@ _OBSTACLE_STOP = (
     robot_parameter(
         "robot_radius",
         "radius",
-        "Radius around base_link that holds all of the robot; 0.0 for no obstacle stop [m].",
+        "Radius around base_link that encloses the robot; 0.0 for no obstacle stop [m].",
         0.0,
         5.0,
         live=True,
@@ -68,7 +68,7 @@ _OBSTACLE_STOP = (
     Parameter(
         "reaction_time",
         0.3,
-        "Time from a scan to the effect of the command that answers the next scan [s].",
+        "Time from a scan to the effect of the command for the next scan [s].",
         0.0,
         5.0,
         live=True,

@@ -25,8 +25,8 @@ class ThrustWatchdogNode(CommandWatchdog):
         Parameter(
             "timeout", 0.25, "Age of the last thrusts after which rest thrusts are sent, in wall time [s].", 0.02, 60.0
         ),
-        Parameter("rest_rate", 20.0, "Rest thrusts per second while no thrusts come [Hz].", 1.0, 200.0),
-        Parameter("rest_thrust", 6.13125, "Thrust of each rotor pair that carries half the weight [N].", 0.0, 1000.0),
+        Parameter("rest_rate", 20.0, "Rate of rest thrusts while no thrusts arrive [Hz].", 1.0, 200.0),
+        Parameter("rest_thrust", 6.13125, "Hover thrust of each rotor pair, half the weight [N].", 0.0, 1000.0),
         Parameter(
             "hover_for",
             2.0,
@@ -68,8 +68,8 @@ class ThrustChannel:
 
     def consequence(self, silent_for: float) -> str:  # noqa: D102 - see CommandChannel
         if self._is_over(silent_for):
-            return f"the rotors stand, since hover_for {self._settings['hover_for']:g} s are over"
-        return f"each rotor pair gives {self._settings['rest_thrust']:g} N, which hold neither attitude nor place"
+            return f"the rotors are stopped, since hover_for {self._settings['hover_for']:g} s are over"
+        return f"each rotor pair gives {self._settings['rest_thrust']:g} N, which hold neither attitude nor position"
 
     def _is_over(self, silent_for: float) -> bool:
         return 0.0 < self._settings["hover_for"] <= silent_for

@@ -24,11 +24,11 @@ class WatchdogNode(CommandWatchdog):
 
     PARAMETERS = (
         Parameter("timeout", 0.5, "Age of the last command that stops the robot, in wall time [s].", 0.05, 60.0),
-        Parameter("zero_rate", 10.0, "Zeros per second while no commands come [Hz].", 1.0, 100.0),
+        Parameter("zero_rate", 10.0, "Rate of zeros while no commands arrive [Hz].", 1.0, 100.0),
         Parameter(
             "repeat_for",
             5.0,
-            "Time that zeros repeat after commands stopped coming [s]; 0.0 for as long as none come.",
+            "Time for which zeros are repeated after the last command [s]; 0.0 for no limit.",
             0.0,
             3600.0,
         ),

@@ -144,7 +144,7 @@ def read_tensors(
             )
         data = np.fromfile(file, np.uint8, size - len(head))
         if len(data) != size - len(head):
-            raise FileError("is shorter than it was a moment ago")
+            raise FileError("became shorter while it was read")
     found = header.pop(DIGEST, None)
     if found is None:
         checked_json.warn_missing_digest(path)
@@ -161,7 +161,7 @@ def read_tensors(
 def _check_digest(head: bytes, data: NDArray[np.uint8], found: Any) -> None:
     place = head.find(found.encode()) if isinstance(found, str) and len(found) == len(_ZEROS) else -1
     if place < 0:
-        raise FileError("has a digest that is none")
+        raise FileError("has an invalid digest")
     if _sha256(head[:place] + _ZEROS + head[place + len(_ZEROS) :], data) != found:
         raise FileError("does not match its digest: it is damaged; copy or make it again")
 
@@ -182,7 +182,7 @@ def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entr
     told = checked_json.parse_json(as_text(head[8 : 8 + length]))
     metadata = told.pop("__metadata__", {}) if isinstance(told, dict) else None
     if not isinstance(metadata, dict) or not all(isinstance(text, str) for text in metadata.values()):
-        raise FileError("is no safetensors file: its header is none")
+        raise FileError("is not a safetensors file: invalid header")
     entries = _ENTRIES.validate_python(told)
     end = 0
     for name, entry in sorted(entries.items(), key=lambda item: item[1].data_offsets):
@@ -191,7 +191,7 @@ def _parse_head(head: bytes, size: int) -> tuple[dict[str, str], dict[str, _Entr
             raise FileError(f"tensor {short_repr(name)} is of type {short_repr(entry.dtype)}, which is not read")
         begin, stop = entry.data_offsets
         if begin != end or stop - begin != math.prod(entry.shape) * np.dtype(kind).itemsize:
-            raise FileError(f"tensor {short_repr(name)} does not lie where its shape says")
+            raise FileError(f"tensor {short_repr(name)} is not where its shape requires")
         end = stop
     if end != size - 8 - length:
         raise FileError("is not a whole safetensors file: copy or make it again")
@@ -202,5 +202,5 @@ def _tensor(data: NDArray[np.uint8], entry: _Entry) -> NDArray[Any]:
     begin, stop = entry.data_offsets
     flat = data[begin:stop].view(TYPES[entry.dtype])
     if entry.dtype == "BOOL" and (data[begin:stop] > 1).any():
-        raise FileError("holds truth values that are neither true nor false")
+        raise FileError("has Boolean values that are neither 0 nor 1")
     return np.require(flat.reshape(entry.shape), requirements=["A"])

@@ -74,7 +74,7 @@ def raise_as(kind: type[CtrlRlError], path: str | os.PathLike[str], advice: str 
     except OSError as error:
         raise kind(f"{short_path(path)}: cannot be read: {one_line(error.strerror or error)}") from None
     except MemoryError:
-        raise kind(f"{short_path(path)}: does not fit into the memory") from None
+        raise kind(f"{short_path(path)}: does not fit into memory") from None
     except CtrlRlError as error:
         if str(error).startswith(f"{short_path(path)}: "):  # raised by an inner reader
             raise kind(str(error)) from None
@@ -133,7 +133,7 @@ def as_text(content: bytes) -> str:
     try:
         return content.decode()
     except UnicodeDecodeError as error:
-        raise FileError(f"is no text: byte {error.start} is not UTF-8") from None
+        raise FileError(f"is not text: byte {error.start} is not UTF-8") from None
 
 
 _SAID = {

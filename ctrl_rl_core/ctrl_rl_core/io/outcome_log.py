@@ -105,7 +105,7 @@ class OutcomeLog(Generic[_Outcome]):
         return content
 
     def _read(self, settings: Mapping[str, Any]) -> None:
-        with raise_as(self._error, self._file, "delete it to have its drives made again"):
+        with raise_as(self._error, self._file, "delete it to repeat its drives"):
             text = as_text(read_bytes(self._file, _LARGEST))
             whole = text[: text.rfind("\n") + 1]  # a kill may leave a partial line
             first, *others = whole.splitlines() or [""]

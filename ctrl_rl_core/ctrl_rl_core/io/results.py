@@ -60,7 +60,7 @@ class Row(_Written):
     def _check_seeds(self) -> Row:
         """Check that there is one seed per value."""
         if self.terms and len(set(self.seeds)) != len(self.values):
-            raise ValueError("seeds: must be one a value")
+            raise ValueError("seeds: must be one per value")
         return self
 
     @property

@@ -110,7 +110,7 @@ class TransformPose(PoseSource):
 
     def pose(self, now: float) -> Array:  # noqa: D102 - see PoseSource
         if not self.base:
-            raise TransformError("no odometry yet, which names the robot's frame")
+            raise TransformError("no odometry yet, which provides the robot's frame")
         found = self._tree.lookup(self._map, self.base)
         age = self._tree.age(self._map, self.base, now)
         if not age <= self._timeout:

@@ -228,9 +228,9 @@ class PolicyManifest(Schema):
         if self.size > LARGEST:
             raise ValueError(f"observation: has {self.size} numbers, at most {LARGEST} are taken")
         if not flies and any(self.rest):
-            raise ValueError("rest: a robot on wheels stands at 0 m/s and 0 rad/s: leave it out")
+            raise ValueError("rest: a wheeled robot stands at 0 m/s and 0 rad/s: leave it out")
         if flies and not all(thrust > 0.0 for thrust in self.rest):
-            raise ValueError("rest: a quadrotor needs the thrusts that carry it, m g / 2 each [N]")
+            raise ValueError("rest: a quadrotor needs its hover thrusts, m g / 2 each [N]")
         return self
 
     @property

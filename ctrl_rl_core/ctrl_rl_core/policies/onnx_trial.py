@@ -27,7 +27,7 @@ def open_model(onnxruntime: Any, content: bytes) -> Any:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # any of onnxruntime's error types
         if "external" in str(error).lower():
-            raise PolicyError("keeps its weights in another file: save model and weights as one") from None
+            raise PolicyError("stores its weights in another file: save model and weights together") from None
         raise PolicyError(f"is no ONNX model: {one_line(error, 200)}") from None
     given = session.get_inputs()
     if len(given) != 1 or given[0].type != "tensor(float)":

@@ -26,7 +26,7 @@ POSE_PARAMETERS = (
         choices=("odometry", "tf", "amcl_pose"),
     ),
     Parameter("map_frame", "map", "Frame of the pose by transforms or amcl_pose.", kind="name"),
-    Parameter("pose_timeout", 2.0, "Age of a transform that stops the robot [s].", 0.05, 60.0),
+    Parameter("pose_timeout", 2.0, "Age of a transform above which the robot stops [s].", 0.05, 60.0),
 )
 _TF = QoSProfile(depth=100)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

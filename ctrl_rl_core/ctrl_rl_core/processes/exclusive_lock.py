@@ -30,6 +30,6 @@ def exclusive_lock(lock: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise LockError(
-                f"{lock.parent}: another call is at work there: wait until it has ended, or name another folder"
+                f"{lock.parent}: another process is using this folder: wait until it has ended, or name another folder"
             ) from None
         yield

@@ -49,7 +49,7 @@ def run_limited(module: str, words: Sequence[str], content: bytes, seconds: floa
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip().splitlines() or [""]
         ended = done.returncode < 0 or "MemoryError" in said[-1] or "bad_alloc" in said[-1]
-        raise LimitError(f"takes more than {memory >> 20} MB, or breaks what reads it" if ended else said[-1][:_SHOWN])
+        raise LimitError(f"takes more than {memory >> 20} MB, or crashes its reader" if ended else said[-1][:_SHOWN])
     return done.stdout.decode(errors="replace").strip()
 
 

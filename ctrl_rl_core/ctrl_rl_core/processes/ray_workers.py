@@ -88,7 +88,7 @@ def map_in_ray(
                     losses[name(item)] += 1
                     if losses[name(item)] == _LOSSES:
                         raise WorkersError(f"{name(item)}: lost {_LOSSES} Ray workers in a row: {error}") from None
-                    sys.stderr.write(f"{name(item)}: its Ray worker is lost, it goes on at another one\n")
+                    sys.stderr.write(f"{name(item)}: its Ray worker is lost, it continues on another one\n")
                     waiting.appendleft(item)
                     continue
                 except ray.exceptions.RayTaskError as error:
@@ -132,7 +132,7 @@ def _connected(address: str) -> Iterator[Any]:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR", configure_logging=True)
     except (ConnectionError, ValueError, RuntimeError, ImportError, OSError, OverflowError) as error:
         raise WorkersError(
-            f"--ray {address}: no cluster answers ({one_line(error)}): begin one with `ray start --head`"
+            f"--ray {address}: no cluster answers ({one_line(error)}): start one with `ray start --head`"
         ) from None
     try:
         yield ray

@@ -63,9 +63,7 @@ def map_in_processes(
                     tick()
                 yield from (future.result() for future in finished)
         except BrokenProcessPool:
-            raise WorkersError(
-                "a worker process was killed: run the same command again, it goes on where this ended"
-            ) from None
+            raise WorkersError("a worker process was killed: run the same command again to resume") from None
         except BaseException:
             # Running items are not waited for: they may take minutes, and can be resumed by another run.
             for process in list((pool._processes or {}).values()):

@@ -36,10 +36,10 @@ from ctrl_rl_msgs.srv import QueryValues
 
 SERVER_PARAMETERS = (
     Parameter(
-        "grid", "", "File of the value function (.safetensors); another one is loaded at once.", live=True, kind="path"
+        "grid", "", "File of the value function (.safetensors); a change is loaded at once.", live=True, kind="path"
     ),
-    Parameter("slice", [""], "NAME=VALUE: where ~/slice cuts, 0 for the components left out.", live=True),
-    Parameter("frame", "map", "Frame of the value function's positions; odometry is taken as given in it."),
+    Parameter("slice", [""], "NAME=VALUE: fixed components of ~/slice; 0 for the others.", live=True),
+    Parameter("frame", "map", "Frame of the value function's positions; odometry is assumed to be in it."),
 )
 _EVERY_MESSAGE = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of odometry: best effort matches every publisher; the depth outlasts a burst."""

@@ -163,7 +163,7 @@ class Navigator:
             return self._arrive(pose, goal)
         self._look(now, pose, value)
         if self._taken:
-            return _stand(NavigatorState.BLOCKED, "an obstacle that the map has not stands on the goal")
+            return _stand(NavigatorState.BLOCKED, "an unmapped obstacle covers the goal")
         if not math.isfinite(left):
             return self._no_way(pose)
         return self._drive(now, pose, points, left)
@@ -195,7 +195,7 @@ class Navigator:
         """Return the decision if the value at the robot is infinite."""
         assert self._keeper.solver is not None
         if len(self._keeper.known):
-            return _stand(NavigatorState.BLOCKED, "an obstacle that the map has not blocks every way to the goal")
+            return _stand(NavigatorState.BLOCKED, "an unmapped obstacle blocks every path to the goal")
         solver, where = self._keeper.solver, f"({pose[0]:.2f}, {pose[1]:.2f})"
         row, column = solver.map.world_to_cell(pose[:2])
         height, width = solver.clearance.shape

@@ -18,7 +18,7 @@ class MapServer(SuiteNode):
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("map", "", "Name of a map of the suite, or a .yaml file of map_server.", live=True, kind="path"),
         Parameter("frame", "map", "Frame of the map.", kind="name"),
-        Parameter("topic", "map", "Topic that the map is published on.", kind="name"),
+        Parameter("topic", "map", "Topic of the map.", kind="name"),
     )
 
     def __init__(self) -> None:

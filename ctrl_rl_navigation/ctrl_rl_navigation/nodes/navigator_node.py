@@ -179,14 +179,14 @@ class NavigatorNode(RobotNode):
 
     def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self._navigator.cancel()
-        response.message = "the goal is given up" if response.success else "there is no goal"
+        response.message = "the goal is cancelled" if response.success else "there is no goal"
         self._tick()
         return response
 
     def _on_query(self, request: QueryValues.Request, response: QueryValues.Response) -> QueryValues.Response:
         value = self._navigator.value
         if value is None:
-            response.success, response.message = False, "there is no value: no goal is driven to"
+            response.success, response.message = False, "there is no value, because there is no goal"
             return response
         answer(value, request, response)
         return response

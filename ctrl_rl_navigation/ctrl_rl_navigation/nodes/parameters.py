@@ -33,22 +33,22 @@ NAVIGATOR_PARAMETERS = (
         "Source of the pose: the transform from map_frame to the robot, or the topic amcl_pose and odometry since.",
         choices=POSE_SOURCES,
     ),
-    Parameter("pose_timeout", 2.0, "Age of a transform that stops the robot [s].", 0.05, 60.0),
+    Parameter("pose_timeout", 2.0, "Age of a transform above which the robot stops [s].", 0.05, 60.0),
     Parameter("control_period", 0.1, "Time from command to command [s].", 0.02, 0.5),
     robot_parameter("max_speed", "plan.speed", "Largest speed [m/s].", 0.01, 20.0),
-    robot_parameter("max_turn_rate", "plan.turn_rate", "Largest turn rate [rad/s].", 0.05, 50.0),
-    robot_parameter("acceleration", "plan.acceleration", "Largest change of the speed [m/s^2].", 0.05, 100.0),
+    robot_parameter("max_turn_rate", "plan.turn_rate", "Maximum turn rate [rad/s].", 0.05, 50.0),
+    robot_parameter("acceleration", "plan.acceleration", "Maximum acceleration [m/s^2].", 0.05, 100.0),
     robot_parameter(
-        "turn_acceleration", "plan.turn_acceleration", "Largest change of the turn rate [rad/s^2].", 0.05, 500.0
+        "turn_acceleration", "plan.turn_acceleration", "Maximum angular acceleration [rad/s^2].", 0.05, 500.0
     ),
     Parameter("goal_tolerance", 0.15, "Distance from the goal at which it is reached [m].", 0.03, 2.0),
     Parameter(
         "goal_heading_tolerance",
         0.2,
-        "Error of the heading at which the goal is reached; 3.2 for any heading [rad].",
+        "Heading tolerance at the goal; 3.2 for any heading [rad].",
         0.02,
         3.2,
     ),
-    Parameter("obstacle_memory", 10.0, "Time after which an obstacle that no scan sees is forgotten [s].", 0.5, 3600.0),
+    Parameter("obstacle_memory", 10.0, "Time after which an obstacle no longer seen is dropped [s].", 0.5, 3600.0),
 )
 ANY_HEADING = 3.1415

@@ -69,7 +69,7 @@ def _identify(options: Identify) -> int:
     if told > 1.1 * max(fit.speed, fit.reverse_speed):
         print(f"note: commands reached {told:.3g} m/s, the robot did not")
     if fit.error > _MUCH:
-        print("note: the robot does other things than the model, too: drive on an even floor, without other commands")
+        print("note: the robot deviates from the model: drive on an even floor, without other commands")
     print(f"written to {options.output}")
     return 0
 

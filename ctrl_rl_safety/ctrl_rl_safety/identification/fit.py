@@ -157,7 +157,7 @@ def fit_drives(drives: Sequence[Drive], track: float = 0.0) -> Fit:
     errors = data.errors(commands, lag, limits)
     if errors.max() > 0.5:
         what = ("speed", "turn rate")[int(errors.argmax())]
-        raise SafetyError(f"the {what} does not follow the commands: are they those that the robot got?")
+        raise SafetyError(f"the {what} does not follow the commands: are they the ones the robot received?")
     limits = _least(data, commands, lag, limits)
     motion = data.motion(lag, limits)
     apart = _deviations(commands, data.poses, data.speeds, data.ends, motion, round(_SPAN / STEP))

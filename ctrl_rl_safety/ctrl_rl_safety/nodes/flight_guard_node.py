@@ -43,8 +43,8 @@ _NAMES = ("waiting", "passed", "corrected", "escaping")
 """Names of the FlightStatus modes in diagnostics."""
 WHY = {
     FlightStatus.PASSED: "",
-    FlightStatus.CORRECTED: "after the raw thrusts no escape is left: the nearest ones after which one is are sent",
-    FlightStatus.ESCAPING: "after no thrusts an escape is left: the best one is flown",
+    FlightStatus.CORRECTED: "the raw thrusts leave no escape: the nearest ones that do are sent",
+    FlightStatus.ESCAPING: "no thrusts leave an escape: the best one is flown",
 }
 _LATE = 1.5
 """Time without odometry, in periods, after which the quadrotor continues the escape without it."""

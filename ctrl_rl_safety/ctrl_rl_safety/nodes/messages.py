@@ -30,10 +30,10 @@ _COLOURS = {
 }
 WHY = {
     Mode.PASSED: "",
-    Mode.CORRECTED: "the raw command has no certified escape: the nearest one that has is sent",
+    Mode.CORRECTED: "the raw command has no certified escape: the nearest command that has one is sent",
     Mode.ESCAPING: "no command has a certified escape: full braking",
-    Mode.UNBLOCKING: "the robot was held for long: it turns to the side with more room",
-    Mode.EVADING: "somebody comes near: the robot goes out of the way",
+    Mode.UNBLOCKING: "the robot was blocked for long: it turns to the side with more room",
+    Mode.EVADING: "a mover is approaching: the robot moves out of the way",
 }
 
 

@@ -52,7 +52,7 @@ class BagOptions(TopicOptions):
 
     def __post_init__(self) -> None:
         if not self.bags:
-            raise CommandError("missing BAG: give one bag at least")
+            raise CommandError("missing BAG: give at least one bag")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ def check_model(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
     """
     A, B = real_array("A", A), real_array("B", B)
     if B.ndim != 2 or not B.size:
-        raise KoopmanError(f"B has shape {B.shape}: must have a row for each state and a column for each control")
+        raise KoopmanError(f"B has shape {B.shape}: must have one row per state and a column for each control")
     check_arrays({"A": (A, (len(B), len(B))), "B": (B, B.shape)}, "for the B it comes with")
     check_size("A", A)
     check_size("B", B)

@@ -41,7 +41,7 @@ def refit(policy: LatentPolicy, segments: Sequence[TrajectorySegment], sizes: Se
     """
     learnt = _unprojected(policy.controller)
     if not segments:
-        raise KoopmanError("no drive to fit to")
+        raise KoopmanError("no drive to fit")
     episodes = [_episode(learnt, policy, segment) for segment in segments]
     mirrored = [_episode(learnt, policy, _mirrored(policy, segment)) for segment in segments]
     found = RegulatorFitter(learnt, episodes, mirrored, goal=bool(learnt.z_ref.any()))

@@ -69,7 +69,7 @@ def train(
             there is no stabilising regulator.
     """
     if not limits[0].low <= speed <= limits[0].high:
-        raise KoopmanError(f"the speed to drive at is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
+        raise KoopmanError(f"the driving speed is {speed} m/s: must be from {limits[0].low} to {limits[0].high}")
     if not sequences:
         raise KoopmanError("no snapshots: record a drive first")
     for each in sequences:

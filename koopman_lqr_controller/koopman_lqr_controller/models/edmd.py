@@ -106,7 +106,7 @@ def fit(data: Snapshots, regularisation: float = 1e-3, lifted: bool = False) -> 
         KoopmanError: The data is not finite, has inconsistent shapes, or does not identify A and B; names the columns.
     """
     if not (np.isfinite(regularisation) and regularisation >= 0.0):
-        raise KoopmanError(f"the regularisation is {regularisation}: must be a number from 0 on")
+        raise KoopmanError(f"the regularisation is {regularisation}: must be a number >= 0")
     given = RegressionData.of(data.z, data.u, data.z_next)
     if not lifted:
         check_rows(given)

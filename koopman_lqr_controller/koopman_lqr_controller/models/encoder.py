@@ -222,7 +222,7 @@ class Encoder:
             if lacking or any(array.ndim == 0 for array in arrays.values()):
                 raise KoopmanError(f"encoder layer {index} ({kind.NAME}) has other tensors than it needs")
             if kind is Convolution and arrays["weight"].size * math.prod(description["shape"][-2:]) > _MOST_PRODUCTS:
-                raise KoopmanError(f"encoder layer {index} ({kind.NAME}) is too large to be run at every step")
+                raise KoopmanError(f"encoder layer {index} ({kind.NAME}) is too large to run in every step")
             layers.append(kind(**arrays, **rest))
         shape = tuple(int(size) for size in description["shape"])
         middle, unit = (tensors[f"encoder.{name}"].astype(np.float32) for name in ("middle", "unit"))

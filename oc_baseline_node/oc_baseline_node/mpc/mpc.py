@@ -66,7 +66,7 @@ class Mpc:
         nearby: bool = True,
     ) -> None:
         if not 0.0 < time_limit < np.inf:
-            raise OcError(f"the time limit is {time_limit:g} s: give seconds, more than zero")
+            raise OcError(f"the time limit is {time_limit:g} s: give a positive number of seconds")
         self.problem = problem
         self._solvers = solvers
         self._max_iterations = max_iterations

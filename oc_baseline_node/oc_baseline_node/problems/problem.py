@@ -200,7 +200,7 @@ def formulate(task: NavigationTask, form: Form = "free_speed", clearance: float 
         raise OcError(f"task '{task.name}': an optimal control problem is of an arena or a corridor, not of a map")
     if task.corridor is not None:
         if task.obstacles:
-            raise OcError(f"task '{task.name}': an optimal control problem in a corridor takes no obstacles")
+            raise OcError(f"task '{task.name}': an optimal control problem in a corridor does not support obstacles")
         system = path_car(system, task.corridor.path)
     return OptimalControlProblem(
         task=task,

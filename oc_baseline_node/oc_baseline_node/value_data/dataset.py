@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 FORMAT = "oc-value-data-1"
 LOCK = ".lock"
 """File in a value data folder that locks it against a second call."""
-DOOMED = "cannot keep clear for a second, goal or not"
+DOOMED = "cannot avoid a collision for one second, even without a goal"
 """Reason given for doomed starts."""
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[+-]?\d+)?(?![\w.])")
 _LARGEST_CHUNK = 2_000_000_000
@@ -245,8 +245,8 @@ def read_description(folder: Path) -> dict[str, Any]:
     """
     file = folder / "settings.json"
     if not file.is_file():
-        raise OcError(f"{folder} holds no value data: make them with 'oc data'")
-    with raise_as(OcError, file, "make the data again in another folder"):
+        raise OcError(f"{folder} has no value data: generate it with 'oc data'")
+    with raise_as(OcError, file, "generate the data again in another folder"):
         return _Description.model_validate(read_json(file)).model_dump()
 
 

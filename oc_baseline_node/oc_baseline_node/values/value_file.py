@@ -135,7 +135,7 @@ def _network(told: _Header, tensors: Tensors) -> MlpValue:
     depth = len(tensors) // 2
     wanted = {f"{kind}_{index}" for kind in ("weight", "bias") for index in range(depth)}
     if set(tensors) != wanted:
-        raise FileError("its tensors are no layers, one weight and one bias each")
+        raise FileError("its tensors are not layers with one weight and one bias each")
     return MlpValue(
         layers=tuple(
             (tensors[f"weight_{i}"].astype(np.float64), tensors[f"bias_{i}"].astype(np.float64)) for i in range(depth)

@@ -80,7 +80,7 @@ def recordings(bag: Path) -> list[Recording]:
             life[int(message.data.step)] = _step(message.data, f"{bag}: {message.topic}: decision {message.data.step}")
     found = [recording for life in lives.values() for recording in _parts([step for _, step in sorted(life.items())])]
     if not found:
-        raise OptionError(f"{bag}: no decision is followed by the next one: nothing says what came of them")
+        raise OptionError(f"{bag}: no decision has a successor, so their outcomes are unknown")
     return found
 
 
@@ -138,13 +138,13 @@ def _step(message: Any, where: str) -> _Step:
     observation, flags = np.asarray(message.observations, dtype=np.float32), np.asarray(message.legal, dtype=bool)
     agents = len(names)
     if agents == 0 or {len(counts), len(sizes), len(options), len(running), len(absent)} != {agents}:
-        raise OptionError(f"{where}: its arrays are not all of {agents} robots")
+        raise OptionError(f"{where}: its arrays are not all for {agents} robots")
     if (len(flags), len(observation)) != (sum(counts), sum(sizes)):
         raise OptionError(f"{where}: legal and observations are not as long as the robots' own together")
     over = bool(message.terminated or message.truncated)
     has_none = absent if not over else ~running
     if np.any((options < 0) != has_none) or np.any(options >= counts) or np.any(running & absent):
-        raise OptionError(f"{where}: options {options.tolist()} are not those of who is there")
+        raise OptionError(f"{where}: options {options.tolist()} do not match the robots that are present")
     legal = np.zeros((agents, max(counts)), dtype=bool)
     legal[option_mask(counts)] = flags
     chooses = np.flatnonzero(~running & (options >= 0))

@@ -253,7 +253,7 @@ class OptionEnvironment:
     def _checked(self, choices: Mapping[str, int]) -> list[tuple[int, int]]:
         decision = self._decision
         if decision is None or decision.over:
-            raise OptionError("there is no episode under way: call reset()")
+            raise OptionError("no episode is running: call reset()")
         if set(choices) != set(decision.ready):
             raise OptionError(f"options are given for {sorted(choices)}, ready are {sorted(decision.ready)}")
         out = []

@@ -77,7 +77,7 @@ PARAMETERS = (
     Parameter(
         "batch_window",
         0.0,
-        "Time that the first pending request waits for others [s]; 0 to decide what has arrived already.",
+        "Time for which the first pending request waits for others [s]; 0 to decide at once.",
         0.0,
         1.0,
     ),
@@ -88,9 +88,9 @@ PARAMETERS = (
     Parameter("repeat", 0.1, "Time between repetitions of an unacknowledged grant [s].", 0.01, 10.0),
     Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
     Parameter(
-        "policy_limit", 0.05, "Time after which a policy has failed and safe options are granted [s].", 0.00001, 10.0
+        "policy_limit", 0.05, "Time limit of the policy, after which safe options are granted [s].", 0.00001, 10.0
     ),
-    Parameter("longest_option", 60.0, "Longest duration of an option, if no team file gives it [s].", 0.01, 86400.0),
+    Parameter("longest_option", 60.0, "Maximum duration of an option, if no team file gives it [s].", 0.01, 86400.0),
     Parameter("safe_option", 0, "Index of the safe option, if no team file gives it.", 0, 10000),
     Parameter("step_length", 1.0, "Duration of a low-level step, if no team file gives it [s].", 0.001, 3600.0),
     Parameter("discount", 0.99, "Discount factor gamma of a low-level step, if no team file gives it.", 0.001, 1.0),

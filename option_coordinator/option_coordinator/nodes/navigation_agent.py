@@ -43,10 +43,8 @@ class NavigationAgent(RobotNode):
         Parameter("robot", "", "Name of the robot in the team; empty for the name of its namespace."),
         Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),
         Parameter("sensor_timeout", 1.0, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
-        Parameter(
-            "heartbeat", 0.1, "Time between two heartbeats, and between repetitions of a request [s].", 0.01, 10.0
-        ),
-        Parameter("patience", 2.0, "Time without an answer after which the safe option begins [s].", 0.05, 600.0),
+        Parameter("heartbeat", 0.1, "Period of heartbeats, and of repetitions of a request [s].", 0.01, 10.0),
+        Parameter("patience", 2.0, "Time without an answer after which the safe option starts [s].", 0.05, 600.0),
     )
     robot: LidarRobot
 

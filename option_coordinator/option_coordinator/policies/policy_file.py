@@ -90,7 +90,7 @@ def make_policy(
     if head not in HEADS:
         raise OptionError(f"no kind of joint policy '{head}': there are {', '.join(HEADS)}")
     if partial and presence:
-        raise OptionError("a partially centralised policy is not told who is there: make it without presence")
+        raise OptionError("a partially centralised policy does not observe presence: create it without presence")
     try:
         if partial:
             return Partial([HEADS[head](part(tensors, f"{i}."), counts) for i in range(len(counts))])
@@ -195,4 +195,4 @@ class OptionPolicy:
                 given = self.joint.given(np.zeros(self.joint.observation_size), choosing, np.where(choosing, NONE, 0))
                 given.log_prob(given.sample(np.random.default_rng(0)))
         except (ValueError, IndexError, KeyError) as error:
-            raise OptionError(f"its tensors do not fit each other or its options ({error}): learn it again") from None
+            raise OptionError(f"its tensors do not match each other or its options ({error}): learn it again") from None

@@ -14,7 +14,7 @@ from option_coordinator.protocol.ledger import RobotState
 from option_coordinator.protocol.protocol_types import Grant, GrantStatus, JointStep, Request
 from option_coordinator.protocol.team import RobotSpec
 
-_TOO_LONG = "it takes longer than it may: ask again"
+_TOO_LONG = "it exceeds its maximum duration: send a new request"
 
 
 class Refusal(NamedTuple):
@@ -47,7 +47,7 @@ def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: f
     """
     observation, legal = np.asarray(request.observation), np.asarray(request.legal)
     if 0 < request.coordinator_epoch < epoch:
-        return Refusal("stale epoch", "that epoch is over: ask again in this one")
+        return Refusal("stale epoch", "that epoch is over: send a new request in this one")
     if observation.shape != (agent.observation_size,):
         return Refusal("wrong size", f"observation has shape {observation.shape}, must be ({agent.observation_size},)")
     if not np.isfinite(observation).all() or not math.isfinite(request.option_reward):

@@ -181,7 +181,7 @@ class RobotState:
             OptionError: The robot is not waiting for an option.
         """
         if self.state is not State.WAITING:
-            raise OptionError(f"'{self.agent}' is {self.state}: only who waits is granted an option")
+            raise OptionError(f"'{self.agent}' is {self.state}: only a waiting robot is granted an option")
         self.epoch, self.option, self.granted_at, self.stamp = epoch, option, now, stamp
         self.grant_id += 1
         self.phase = State.GRANTED
@@ -254,4 +254,4 @@ class RobotState:
 
     def _must_be_heard(self) -> None:
         if self.phase is State.UNKNOWN or self.silence is not None:
-            raise OptionError(f"'{self.agent}' is {self.state}: note that it was heard first")
+            raise OptionError(f"'{self.agent}' is {self.state}: call heard() first")

@@ -78,7 +78,7 @@ class ParallelOptions(ParallelEnv[str, AgentDict, int]):
             OptionError: As for `OptionEnvironment.step`, or the mask forbids an action.
         """
         if self._decision is None:
-            raise OptionError("there is no episode under way: call reset()")
+            raise OptionError("no episode is running: call reset()")
         for name, option in self._decision.running_options.items():
             if actions.get(name, option) != option:
                 raise OptionError(f"{name} still runs option {option}: its action mask allows nothing else")

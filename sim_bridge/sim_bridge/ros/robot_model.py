@@ -41,7 +41,7 @@ class RobotModel:
         robot = task.robot.robot
         if robot is None:
             raise SimulationError(
-                f"task '{task.name}': a body 'model' has no drivers to stand in for: simulate it in Python"
+                f"task '{task.name}': the bridge does not support a body 'model': simulate it in Python"
             )
         text = urdf_of(robot).read_text(encoding="utf-8")
         self.description = String(data=text)

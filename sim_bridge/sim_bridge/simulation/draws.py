@@ -94,5 +94,5 @@ def checked_start(start: ArrayLike, system: System, robots: int) -> Array:
     state = np.array(start, dtype=float)
     if robots > 1 or state.shape != (len(system.state_names),) or not np.isfinite(state).all():
         names = ", ".join(system.state_names)
-        raise SimulationError(f"a start is a finite number for each of {names}, for a world of one robot")
+        raise SimulationError(f"a start must be a finite number for each of {names}, for a world of one robot")
     return state

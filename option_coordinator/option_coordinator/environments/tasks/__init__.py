@@ -54,7 +54,7 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
         options: OptionSet = "published" if level == "options" else level
         return WaterFillingSimulation(task, options, sight)
     if sight == "image":
-        raise OptionError(f"task '{task.name}' has no images: leave --sight away")
+        raise OptionError(f"task '{task.name}' has no images: omit --sight")
     if isinstance(task, TeamFile):
         if level != "options":
             raise OptionError(f"team '{task.name}' has the options of its file: there is no other set")

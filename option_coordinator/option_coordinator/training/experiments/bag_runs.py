@@ -91,7 +91,7 @@ class BagRun(Run):
         if self.policy is not None:
             return self.policy.agents
         if self.task_name is None:
-            raise OptionError("bags do not say what options are called: give a policy with --from, or a --task")
+            raise OptionError("bags do not name the options: give a policy with --from, or a --task")
         return make_environment(self.task_name).agents
 
     @cached_property
@@ -127,7 +127,7 @@ class BagRun(Run):
             return self.asked
         if not self.own:
             if self.asked is not None:
-                raise OptionError("MAPPO needs decisions of the policy that it goes on from: try --way weighted")
+                raise OptionError("MAPPO needs decisions of the initial policy: try --way weighted")
             return "imitation"
         if self.policy is not None and self.policy.greedy:
             raise OptionError(f"{self.start}: takes its most likely options: what it never tries teaches it nothing")
@@ -224,7 +224,7 @@ class _Trainer(Checkpoints):
                 learner.learn_value(trajectory, generator)
         figures = learner.learn(trajectory, generator)
         if not curve and self._run.way == "mappo" and figures.get("ratio", 0.0) > _SAME_RATIO:
-            raise OptionError(f"{self._run.start}: what the bags say of its log-probabilities is not true of it")
+            raise OptionError(f"{self._run.start}: the log-probabilities in the bags do not match it")
         return {"update": figures}
 
     def finish(self, folder: Path, /) -> dict[str, Any]:

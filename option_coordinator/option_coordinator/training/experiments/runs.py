@@ -129,7 +129,7 @@ class OptionRun(Run):
         """
         method = self.method
         if self.drop and (method.partial or method.learner != "mappo"):
-            raise OptionError(f"method '{self.method_name}' has no place for robots that vanish: leave --drop away")
+            raise OptionError(f"method '{self.method_name}' does not support drop-outs: omit --drop")
         return make_environment(
             self.task_name, method.synchronisation, level=method.level, sight=self.sight, drop=self.drop
         )
