@@ -99,7 +99,7 @@ def draw_learning(
 
     Args:
         path: File to write.
-        title: Finding, as a sentence.
+        title: Title; a sentence that states the finding.
         panels: At most `MOST_PANELS` panels.
         measure: Measured quantity with its unit; `SUCCESS` ranges from 0 to 100.
         orders_of_magnitude: Minimum magnitude on a logarithmic axis, for all-negative values that span orders of
@@ -194,7 +194,7 @@ def draw_ends(
 
     Args:
         path: File to write.
-        title: Finding, as a sentence.
+        title: Title; a sentence that states the finding.
         ends: Values of the seeds, by method and then by learner.
         labels: Labels of the methods, at most three, each with its own panel.
         measure: Measured quantity with its unit.

@@ -37,7 +37,7 @@ def moving_picture(
     """Prepare a figure for an animation within this context; `film` writes it.
 
     Args:
-        title: Finding, as a sentence.
+        title: Title; a sentence that states the finding.
         rows: Number of rows of panels.
         columns: Number of panels in a row.
         height: Height of the figure [in]; its width is `FULL`.

@@ -115,7 +115,7 @@ def draw_paths(path: Path, title: str, task: NavigationTask, panels: Mapping[str
 
     Args:
         path: File to write.
-        title: Finding, as a sentence.
+        title: Title; a sentence that states the finding.
         task: Task of the paths.
         panels: Paths by panel name, at most three panels: `states` (n, d), and the `outcome`, if any.
     """

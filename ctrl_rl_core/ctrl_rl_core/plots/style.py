@@ -73,7 +73,7 @@ def picture(
 
     Args:
         path: File to write; its suffix selects the format, .svg for lines and .png for maps.
-        title: Finding, as a sentence; wrapped.
+        title: Title; a sentence that states the finding, wrapped if long.
         rows: Number of rows of panels.
         columns: Number of panels in a row.
         height: Height of the figure [in].

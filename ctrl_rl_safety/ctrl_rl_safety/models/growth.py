@@ -54,5 +54,5 @@ def standing_growth(t: float, growth: Any) -> float:
 
 @njit(inline="always")
 def moving_growth(t: float, growth: Any) -> float:
-    """Return the distance by which any other echo may be closer after a time [s]."""
+    """Return the distance by which a possible mover may be closer after a time [s]."""
     return (growth.disturbance + growth.mover_speed) * t

@@ -78,7 +78,7 @@ class WaterFillingSimulation:
 
     @property
     def landmarks(self) -> Mapping[str, tuple[float, float]]:
-        """The jars [m]."""
+        """Positions of the jars [m], by name."""
         return {jar.name: jar.position for jar in self.task.jars}
 
     def reset(self, generator: np.random.Generator) -> None:

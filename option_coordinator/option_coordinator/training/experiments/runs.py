@@ -189,7 +189,7 @@ class _Trainer(Checkpoints):
         self._learner = learner
 
     def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
-        """Learn from new episodes in batches of similar size, offsetting samples overshot by earlier iterations."""
+        """Learn from new episodes in batches of similar size; excess samples of earlier iterations are deducted."""
         run, learner, done = self._run, self._learner, len(curve)
         taken = int(curve[-1]["samples"]) if curve else 0
         samples = max(1, (done + 1) * self._options.samples * run.budget - taken)
