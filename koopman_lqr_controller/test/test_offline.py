@@ -1,4 +1,4 @@
-"""From recorded drives alone to policies: fit, evaluate, learn; a real drive too, where there is one."""
+"""From recorded drives alone to policies: fit, evaluate, learn; on a real drive too, if available."""
 
 import json
 import re
@@ -37,7 +37,7 @@ LIMITS = np.array([0.0, -1.0]), np.array([0.22, 1.0])
 
 
 def driven(steps: int, seed: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the states (steps + 1) and commands of a driver who keeps to the middle on slippery ground."""
+    """Return the states (steps + 1) and commands of a driver that keeps to the centre on slippery ground."""
     random = np.random.default_rng(seed)
     state, states, commands = np.array([0.1, 0.0, 0.15, 0.0]), [], []
     for _ in range(steps + 1):
@@ -57,7 +57,7 @@ def seen(steps: int = 300, seed: int = 0) -> TrajectorySegment:
 
 
 def some_policy(task: str = "curved_corridor") -> LatentPolicy:
-    """Return a policy whose latent is a mixture of what is seen, and whose model is nonsense."""
+    """Return a policy whose latent is a mixture of the observation, with a meaningless model."""
     random, n = np.random.default_rng(3), 4
     inputs = len(OBSERVATION.names)
     one = np.ones(1, np.float32)
@@ -71,7 +71,7 @@ def some_policy(task: str = "curved_corridor") -> LatentPolicy:
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Give two drives with a lidar whose number of beams varies."""
+    """Return two drives with a lidar whose number of beams varies."""
     folders = []
     for seed in range(2):
         folders.append(tmp_path_factory.mktemp("bags") / f"drive_{seed}")
@@ -91,7 +91,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_a_lidar_that_sees_only_ahead_fits_a_policy_whose_rear_observables_stay_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of 240 degrees, as the real recordings' Hokuyo: the sectors behind read "nothing there" on both sides."""
+    """A field of view of 240 degrees, like the real recordings' Hokuyo: rear sectors always read maximum range."""
     states, commands = driven(300, 0)
     random = np.random.default_rng(0)
     with Bag(tmp_path / "bag", {name: kind for name, kind in KINDS.items() if name != "/episode"}) as bag:
@@ -175,6 +175,11 @@ def test_two_stages_are_fitted_and_evaluated_by_command(
     assert "held out      60 steps: error 0." in out
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
     assert figures == json.loads(json.dumps(fitted.manifest["drives"]))
+    # What the policy has not seen is held out from it, however the call would split; the first file says nothing.
+    assert evaluate([str(output), str(bags[0]), "--held-out", "0.5"]) == 0
+    assert "held out" not in capsys.readouterr().out
+    assert evaluate(["curved_corridor_edmd", str(bags[0])]) == 0
+    assert "does not say which drives it was fitted to" in capsys.readouterr().out
 
 
 def test_two_stages_are_trained_by_command(
@@ -272,7 +277,7 @@ def test_the_mirror_of_an_observation_is_that_of_the_mirrored_world() -> None:
 
 
 def test_a_real_drive_is_predicted_better_than_by_nothing_changes(real_drive: Path, tmp_path: Path) -> None:
-    """On its last fifth, which was not fitted: commands of a person, 720 beams, a lidar that looks to the left."""
+    """On its last fifth, which was not fitted: commands of a person, 720 beams, a lidar that faces left."""
     output = tmp_path / "real.safetensors"
     assert fit(["curved_corridor_edmd", str(real_drive), "--output", str(output)]) == 0
     held_out = load_policy(output).manifest["drives"]["held out"]

@@ -1,4 +1,4 @@
-"""The command `edmd`: a two-stage policy from bags of a drive."""
+"""The command `edmd`: fits a two-stage policy to bags of a drive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ctrl_rl_core.tasks import require
 from ctrl_rl_bags import bag_info
 from ctrl_rl_core import load_navigation_task, task_digest
 from koopman_lqr_controller.cli.bag_options import TELL, BagOptions, OutputOptions, read_segments
-from koopman_lqr_controller.data.trajectory_segments import check_held_out, mean_time_step, to_snapshots
+from koopman_lqr_controller.data.trajectory_segments import check_held_out, fitted_steps, mean_time_step, to_snapshots
 from koopman_lqr_controller.identification.two_stage import train
 from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.policy_file import refuse_existing, save_policy
@@ -24,13 +24,13 @@ class EdmdOptions(OutputOptions, BagOptions):
     """Learn the two-stage Koopman controller (thesis 2.3.1): EDMD on recorded drives, then its LQR."""
 
     task: str = "curved_corridor"
-    """Task that sets the limits of commands: a name or a .yaml file."""
+    """Task that sets the command limits: a name or a .yaml file."""
 
     speed: float = 0.18
-    """Speed to drive at [m/s]."""
+    """Driving speed [m/s]."""
 
     other_task: bool = False
-    """Take bags of another task, or of another version of it, too."""
+    """Also accept bags of another task, or of another version of it."""
 
 
 def _learn(options: EdmdOptions) -> int:
@@ -55,6 +55,7 @@ def _train(options: EdmdOptions) -> EdmdPolicy:
         "task": task.name,
         "task_digest": digest,
         "bags": [bag.name for bag in options.bags],
+        "fitted_to": fitted_steps(segments, options.held_out),
         "dt": mean_time_step(segments),
     }
     return train(

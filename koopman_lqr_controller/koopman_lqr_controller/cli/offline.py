@@ -17,14 +17,15 @@ from koopman_lqr_controller.cli.bag_options import BagOptions, OutputOptions, Po
 from koopman_lqr_controller.data.trajectory_segments import (
     TrajectorySegment,
     check_held_out,
+    fitted_steps,
     mean_time_step,
     split,
+    split_by,
     to_snapshots,
 )
 from koopman_lqr_controller.identification.evaluation import evaluate_policy, time_step_mismatch
 from koopman_lqr_controller.identification.offline import refit
 from koopman_lqr_controller.identification.two_stage import Weights, train
-from koopman_lqr_controller.policies.koopman_policy import ObservationFn
 from koopman_lqr_controller.policies.latent_policy import LatentPolicy
 from koopman_lqr_controller.policies.policy_file import (
     KoopmanPolicy,
@@ -36,65 +37,70 @@ from koopman_lqr_controller.policies.policy_file import (
 )
 from koopman_lqr_controller.sensing.lidar_observation import LidarObservation
 
-_FITTED, _HELD_OUT = "fitted", "held out"
+_FITTED, _HELD_OUT, _UNKNOWN = "fitted", "held out", "unknown"
 _FIGURES_OF_TRAIN = ("snapshots", "one_step_error", "persistence_error")
-"""Figures of `train` about the fitted part alone; `_save` adds those of both parts."""
+"""Metrics of `train` on the fitted part only; `_save` adds those of both parts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions(OutputOptions, BagOptions, PolicyOption):
-    """Fit a policy's model anew to recorded drives: its coordinates and what it does stay, its regulator follows."""
+    """Refit a policy's model to recorded drives; encoder and behaviour stay, the regulator is recomputed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(BagOptions, PolicyOption):
-    """Tell how a policy does: its success and return in fresh episodes; or, with bags, how well it predicts them.
+    """Evaluate a policy: its success and return in new episodes or, with bags, its prediction errors.
 
-    On recorded drives its errors stand beside those of "nothing changes", and its commands beside the driver's.
+    On recorded drives, its errors are compared with those of persistence, and its commands with the driver's.
     """
 
     bags: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[BAG ...]")] = ()
-    """Folders of rosbag2 with the topics scan, odom and cmd_vel (default: none, but episodes in simulation)."""
+    """rosbag2 folders with the topics scan, odom and cmd_vel (default: none, simulated episodes instead)."""
+
+    held_out: float = 0.2
+    """Without effect: the policy's file says which part of the drives is held out from it."""
 
     task: str | None = None
-    """Task of the episodes, as for `train` (default: the task that the policy has learnt)."""
+    """Task of the episodes, as for `train` (default: the task the policy was trained on)."""
 
     episodes: at_least(1) = 100  # type: ignore[valid-type]
     """Number of episodes."""
 
     seed: at_least(0) = 0  # type: ignore[valid-type]
-    """Seed of the first episode; the others follow."""
+    """Seed of the first episode; the others are consecutive."""
 
     results: OptionalFileToWrite = None
-    """JSON file to write the figures to."""
+    """JSON file for the metrics."""
 
     def __post_init__(self) -> None:
-        """Take any number of bags."""
+        """Accept any number of bags."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearnOfflineOptions(OutputOptions, BagOptions):
-    """Learn encoder, model and LQR from recorded drives alone: a driver's commands take the place of a reward."""
+    """Learn encoder, model and LQR from recorded drives only; the driver's commands replace a reward."""
 
     latent: at_least(2) = 16  # type: ignore[valid-type]
-    """Dimensions of the encoder."""
+    """Dimension of the latent space."""
 
     updates: at_least(1) = 1500  # type: ignore[valid-type]
-    """Number of updates of the networks."""
+    """Number of network updates."""
 
     far: float = 3.5
-    """Distance beyond which a scan shows nothing [m]."""
+    """Distance beyond which a scan has no echo [m]."""
 
     seed: int = 0
-    """Seed of weights and batches."""
+    """Random seed of weights and batches."""
 
 
 def _fit(options: FitOptions) -> int:
+    check_held_out(options.held_out)
     refuse_existing(options.output, options.overwrite)
     file = find_policy(options.policy)
     policy = load_policy(file)
-    seen, unseen = _parts(options, policy.observation_fn)
-    manifest = {"fitted_from": digest(file), **_source(options)}
+    segments = read_segments(options.bags, options, policy.observation_fn)
+    seen, unseen = split(segments, options.held_out)
+    manifest = {"fitted_from": digest(file), **_source(options, segments)}
     fitted: KoopmanPolicy
     if isinstance(policy, LatentPolicy):
         fitted = refit(policy, seen)
@@ -122,10 +128,15 @@ def _evaluate(options: EvaluateOptions) -> int:
 
         return evaluate_in_episodes(file, options.task, options.episodes, options.seed, options.results)
     policy = load_policy(file)
-    parts = dict(zip((_FITTED, _HELD_OUT), _parts(options, policy.observation_fn), strict=True))
-    figures = {name: evaluate_policy(policy, segments) for name, segments in parts.items() if segments}
+    observe = policy.observation_fn
+    check_held_out(options.held_out)
+    segments = read_segments(options.bags, options, observe)
+    parts = _parts(policy, segments)
+    figures = {name: evaluate_policy(policy, part) for name, part in parts.items() if part}
     _print(figures)
-    told = time_step_mismatch(policy, [*parts[_FITTED], *parts[_HELD_OUT]])
+    if _UNKNOWN in parts:
+        print("The policy's file does not say which drives it was fitted to: none of these is known to be held out.")
+    told = time_step_mismatch(policy, segments)
     if told:
         print(told)
     if options.results is not None:
@@ -134,9 +145,11 @@ def _evaluate(options: EvaluateOptions) -> int:
 
 
 def _learn_offline(options: LearnOfflineOptions) -> int:
+    check_held_out(options.held_out)
     refuse_existing(options.output, options.overwrite)
     observation = LidarObservation(far=options.far)
-    seen, unseen = _parts(options, observation.observe)
+    segments = read_segments(options.bags, options, observation.observe)
+    seen, unseen = split(segments, options.held_out)
     from koopman_lqr_controller.training.agents.imitation import ImitationSettings, imitate
 
     settings = ImitationSettings(latent=options.latent, updates=options.updates, seed=options.seed)
@@ -145,18 +158,26 @@ def _learn_offline(options: LearnOfflineOptions) -> int:
     manifest = {
         "method": "task-oriented Koopman control from recorded drives: imitation, then consolidation",
         "settings": vars(settings),
-        **_source(options),
+        **_source(options, segments),
     }
     return _save(options, refit(learnt, seen), seen, unseen, manifest)
 
 
-def _parts(options: BagOptions, observe: ObservationFn) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
-    check_held_out(options.held_out)
-    return split(read_segments(options.bags, options, observe), options.held_out)
+def _parts(policy: KoopmanPolicy, segments: list[TrajectorySegment]) -> dict[str, list[TrajectorySegment]]:
+    """Return the drives a policy was fitted to and the held-out ones, according to its manifest."""
+    fitted = policy.manifest.get("fitted_to")
+    if not isinstance(fitted, dict):
+        return {_UNKNOWN: segments}
+    steps = {name: count for name, count in fitted.items() if isinstance(count, int)}
+    return dict(zip((_FITTED, _HELD_OUT), split_by(segments, steps), strict=True))
 
 
-def _source(options: BagOptions) -> dict[str, Any]:
-    return {"bags": [bag.name for bag in options.bags], "held_out": options.held_out}
+def _source(options: BagOptions, segments: Sequence[TrajectorySegment]) -> dict[str, Any]:
+    return {
+        "bags": [bag.name for bag in options.bags],
+        "held_out": options.held_out,
+        "fitted_to": fitted_steps(segments, options.held_out),
+    }
 
 
 def _save(
@@ -166,7 +187,7 @@ def _save(
     unseen: Sequence[TrajectorySegment],
     manifest: dict[str, Any],
 ) -> int:
-    """Write a policy with its figures on both parts."""
+    """Write a policy with its metrics on both parts."""
     figures = {
         name: evaluate_policy(policy, segments) for name, segments in ((_FITTED, seen), (_HELD_OUT, unseen)) if segments
     }

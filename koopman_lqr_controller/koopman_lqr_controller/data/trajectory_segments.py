@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,12 +35,12 @@ from koopman_lqr_controller.sensing.lidar_mounting import yaw_of_lidar
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """Part of a recorded drive without a gap.
+    """A gapless segment of a recorded drive.
 
     Attributes:
         x: Observation of each scan (T + 1, n).
-        u: Commands from each scan to the next (T, 2): speed [m/s], turn rate [rad/s].
-        dt: Median time from scan to scan [s].
+        u: Commands between consecutive scans (T, 2): speed [m/s], turn rate [rad/s].
+        dt: Median time between scans [s].
     """
 
     x: Array
@@ -49,8 +50,13 @@ class TrajectorySegment:
     def __len__(self) -> int:
         return len(self.u)
 
+    @property
+    def digest(self) -> str:
+        """Digest of the commands, which identifies a drive independently of the policy's observation."""
+        return hashlib.sha256(np.ascontiguousarray(np.round(self.u, 5) + 0.0, "<f8").tobytes()).hexdigest()[:16]
+
     def cut(self, begin: int, end: int) -> TrajectorySegment:
-        """Return the steps from `begin` to before `end`."""
+        """Select the steps from `begin` up to, but excluding, `end`."""
         return TrajectorySegment(self.x[begin : end + 1], self.u[begin:end], self.dt)
 
 
@@ -61,22 +67,22 @@ def load_segments(
     lidar_yaw: float | None = None,
     tell: Tell = warn,
 ) -> list[TrajectorySegment]:
-    """Return what was seen and commanded in one bag, apart for each sequence without a gap.
+    """Return the observations and commands of one bag, as one segment per gapless sequence.
 
-    Where the bag holds ground truth about episodes (a simulator's), what follows a collision or the goal is left out;
-    so is what has no command or odometry of the last second.
+    If the bag has ground truth on episodes (from a simulator), samples after a collision or the goal are omitted; so
+    are samples without a command or odometry within the last second.
 
     Args:
-        bag: With scans, odometry and commands (Twist or TwistStamped).
+        bag: Bag with scans, odometry and commands (Twist or TwistStamped).
         observe: Function from a scan and odometry to an observation.
-        options: Topics, beams and clock; the usual ones unless given.
-        lidar_yaw: Direction of the scan's zero bearing in the robot's frame [rad]; None for what the bag's /tf_static
-            says, and 0 where it says nothing.
-        tell: Takes a line about what was left out or taken for granted; warns unless given.
+        options: Topics, beams and clock; the default ones if omitted.
+        lidar_yaw: Direction of the scan's zero bearing in the robot's frame [rad]; None to use the bag's /tf_static, or
+            0 without it.
+        tell: Called with a line about omissions and assumptions; a warning by default.
 
     Raises:
-        KoopmanError: the bag holds nothing usable.
-        BagError: the bag cannot be read, a topic is missing, or two clocks differ.
+        KoopmanError: The bag has no usable data.
+        BagError: The bag cannot be read, a topic is missing, or two clocks differ.
     """
     how = (options or DriveOptions()).extraction(even=True)
     layout, found = find_layout(bag, how), Found()
@@ -100,15 +106,15 @@ def to_snapshots(segments: Sequence[TrajectorySegment]) -> list[Snapshots]:
 
 
 def mean_time_step(segments: Sequence[TrajectorySegment]) -> float:
-    """Return the time between two steps of drives [s], long ones counting more."""
+    """Return the mean time step of drives [s], weighted by their length."""
     return float(np.average([segment.dt for segment in segments], weights=[len(segment) for segment in segments]))
 
 
 def check_held_out(share: float) -> None:
-    """Refuse a part that cannot be held out.
+    """Raise if a fraction cannot be held out.
 
     Raises:
-        KoopmanError: it is not in [0, 1).
+        KoopmanError: The fraction is not in [0, 1).
     """
     if not 0.0 <= share < 1.0:
         raise KoopmanError(f"--held-out is {share}: must be at least 0 and less than 1")
@@ -117,31 +123,59 @@ def check_held_out(share: float) -> None:
 def split(
     segments: Sequence[TrajectorySegment], held_out: float
 ) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
-    """Return drives to fit to, and the last part of all steps, to measure on.
+    """Split drives into the data to fit, and the last fraction of all steps for evaluation.
 
     Args:
-        segments: In the order of their bags.
-        held_out: Part of the steps, 0 <= held_out < 1.
+        segments: Segments in bag order.
+        held_out: Held-out fraction of the steps, 0 <= held_out < 1.
     """
+    return _cut(segments, _counts(segments, held_out))
+
+
+def fitted_steps(segments: Sequence[TrajectorySegment], held_out: float) -> dict[str, int]:
+    """Return the number of steps of each drive fitted by `split`, by the drive's digest, for the policy's manifest."""
+    return {each.digest: count for each, count in zip(segments, _counts(segments, held_out), strict=True)}
+
+
+def split_by(
+    segments: Sequence[TrajectorySegment], fitted: Mapping[str, int]
+) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
+    """Split drives into the parts used for fitting a policy, and the unseen parts.
+
+    Args:
+        segments: Drives.
+        fitted: Number of initial steps used for the fit, by the drive's digest; 0 for other drives.
+    """
+    return _cut(segments, [min(fitted.get(segment.digest, 0), len(segment)) for segment in segments])
+
+
+def _counts(segments: Sequence[TrajectorySegment], held_out: float) -> list[int]:
+    """Return the number of initial steps of each drive used for the fit."""
     left = sum(len(segment) for segment in segments) - round(held_out * sum(len(segment) for segment in segments))
-    seen: list[TrajectorySegment] = []
-    unseen: list[TrajectorySegment] = []
+    out = []
     for segment in segments:
-        here = min(max(left, 0), len(segment))
-        seen += [segment.cut(0, here)] if here else []
-        unseen += [segment.cut(here, len(segment))] if here < len(segment) else []
-        left -= here
-    return seen, unseen
+        out.append(min(max(left, 0), len(segment)))
+        left -= out[-1]
+    return out
+
+
+def _cut(
+    segments: Sequence[TrajectorySegment], counts: Sequence[int]
+) -> tuple[list[TrajectorySegment], list[TrajectorySegment]]:
+    """Split drives into their initial steps, by the given counts, and the rest."""
+    seen = [segment.cut(0, here) for segment, here in zip(segments, counts, strict=True) if here]
+    unseen = [segment.cut(here, len(segment)) for segment, here in zip(segments, counts, strict=True)]
+    return seen, [segment for segment in unseen if len(segment)]
 
 
 def _pieces(
     columns: Mapping[str, NDArray[Any]], observe: ObservationFn, geometry: ScanGeometry
 ) -> list[TrajectorySegment]:
-    """Return the parts of an episode whose scans show something."""
+    """Return the parts of an episode whose scans have measurements."""
     speeds = states_of(columns[ODOMETRY])[:, 3:].astype(np.float64)
     seen = [_seen(observe, *row, geometry) for row in zip(columns[SCAN], speeds, strict=True)]
     width = max((len(x) for x in seen if x is not None), default=0)
-    if not width:  # no scan shows anything
+    if not width:  # no scan has a measurement
         return []
     x = np.array([np.full(width, np.nan) if it is None else it for it in seen])
     u = columns[ACTION][:-1]
@@ -157,7 +191,7 @@ def _pieces(
 
 
 def _seen(observe: ObservationFn, ranges: NDArray[np.float32], speeds: Array, geometry: ScanGeometry) -> Array | None:
-    """Return x of one sample, None where the scan shows nothing."""
+    """Return x of one sample; None if the scan has no measurement."""
     try:
         return observe(ranges, geometry, float(speeds[0]), float(speeds[1]))
     except CtrlRlError:
