@@ -52,7 +52,7 @@ def odometry_jumps(times: NDArray[np.int64], positions: Array, yaws: Array, spee
 
 
 def _usual(rates: Array) -> Array:
-    """Return, for each step, an upper bound of the rate at all but a few surrounding steps."""
+    """Return the usual rate near each step: the `_DRAWS`-th largest at the surrounding steps."""
     padded = np.concatenate((np.full(_NEIGHBOURS, np.nan), rates, np.full(_NEIGHBOURS, np.nan)))
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1).copy()
     near[:, _NEIGHBOURS] = np.nan

@@ -52,7 +52,7 @@ class Train(LearningOptions):
     simulated frames, or "model_based", which starts more slowly and ends higher on the cheetah, in three times the
     time. Values from --set are applied afterwards."""
     learner: Annotated[str, one_of(LEARNERS)] = "koopman"
-    """Learner."""
+    """Learning algorithm."""
     keep: Literal["best", "last"] = "best"
     """Policy kept by a run: the best in the evaluations after each chunk, or the last, which involves no selection.
     With the last, --results contains returns by task and frames, merged with those already in the file: of other tasks,

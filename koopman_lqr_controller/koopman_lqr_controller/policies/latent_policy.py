@@ -51,7 +51,7 @@ class RobotInterface:
 
     @cached_property
     def half(self) -> Array:
-        """Command per action (2,)."""
+        """Half the range of the commands (2,), which scales actions in [-1, 1]."""
         return 0.5 * (self.u_high - self.u_low)
 
     def action(self, command: Array) -> Array:

@@ -138,7 +138,7 @@ NONE = -1
 
 @dataclass(frozen=True, eq=False)
 class PolicyQuery:
-    """A query to a policy: who chooses, what the others run, and what is legal.
+    """A query to a policy: the choosing agents, the running options, and the legal options.
 
     Attributes:
         observation: Observations of all agents, concatenated (D,).
