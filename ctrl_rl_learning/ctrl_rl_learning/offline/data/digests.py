@@ -24,7 +24,8 @@ def episode_digests(transitions: Transitions) -> list[str]:
     starts = np.append(np.flatnonzero(transitions.first), len(transitions))
     out = []
     for low, high in pairwise(starts):
-        driven = np.round(np.concatenate((transitions.states, transitions.actions), axis=1)[low:high], 5) + 0.0
+        both = np.concatenate((transitions.states[low:high], transitions.actions[low:high]), axis=1, dtype=np.float64)
+        driven = np.round(both, 5) + 0.0
         out.append(hashlib.sha256(np.ascontiguousarray(driven, dtype="<f8").tobytes()).hexdigest()[:_SHOWN])
     return out
 
