@@ -50,6 +50,7 @@ from verdicts.worlds import DIFFERENCES, Pair, draw_pair, kind_of
 KINDS = ("alike", *DIFFERENCES)
 _TEST_SEED = 500_000
 _FIFTH = 0.2
+_AGAINST = "not called better: "
 _NOISE = 0.02
 """Share of the test episodes by which a success may be lower without being called so."""
 
@@ -167,10 +168,11 @@ def ask(bag: Path, pair: Pair, policy: Path, results: Path) -> tuple[str, str]:
     words = [str(bag), "--task", str(pair.file), "--policy", str(policy), "--other-task"]
     words += ["--updates", "200", "--fits", "2", "--results", str(results)]
     answer = command("evaluate_offline", *words, package="ctrl_rl_learning")
-    lines = [each for each in answer.stderr.splitlines() if "not called better" in each or not results.exists()]
-    first = lines[0].split(": ", 1)[-1].removeprefix("not called better: ") if lines else ""
+    lines = [each.split(": ", 1)[-1] for each in answer.stderr.splitlines()]
     if not results.exists():
-        return "refused", first
+        return "refused", lines[-1] if lines else ""
+    against = [each for each in lines if each.startswith(_AGAINST)]
+    first = against[0].removeprefix(_AGAINST) if against else ""
     told = read_json(results)["figures"]["verdict"]
     return str(told), first
 
