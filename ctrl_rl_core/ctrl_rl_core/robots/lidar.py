@@ -54,6 +54,7 @@ class MountedLidar(Schema):
         y: Position to the left of the centre [m].
         z: Height above the floor [m].
         yaw: Direction of its zero bearing, counter-clockwise from ahead [rad].
+        missing_rate: Probability that a scan misses what its beams hit, as the safety filter assumes it.
         spec: Beam data; None if the file has none.
     """
 
@@ -61,6 +62,7 @@ class MountedLidar(Schema):
     y: Length = Field(default=0.0, ge=-1.0, le=1.0)
     z: Length = Field(default=0.0, ge=0.0, le=3.0)
     yaw: Angle = Field(default=0.0, ge=-math.pi, le=math.pi)
+    missing_rate: float = Field(default=0.1, ge=0.0, le=0.5)
     spec: LidarSpec | None = None
 
     @model_validator(mode="before")

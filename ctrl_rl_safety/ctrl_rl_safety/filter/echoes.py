@@ -23,6 +23,13 @@ _MOST_POINTS = 3000
 _THIN = 0.01
 
 
+def moved(points: Array, pose: Array) -> Array:
+    """Transform points (n, 2) from a frame to the one in which its pose (3,) is given."""
+    x, y, theta = (float(each) for each in pose)
+    c, s = math.cos(theta), math.sin(theta)
+    return points @ np.array(((c, s), (-s, c))) + (x, y)
+
+
 def thinned(points: Array) -> Array:
     """Return at most `_MOST_POINTS` of the echoes, in beam order (n, 2) [m]."""
     if len(points) <= _MOST_POINTS:

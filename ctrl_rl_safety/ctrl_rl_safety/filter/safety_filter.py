@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
 from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guide, Situation, escape_path
-from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, surfaces, thinned
+from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, moved, surfaces, thinned
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
+from ctrl_rl_safety.filter.evidence import Beams, EchoEvidence, beams_from, kinds_of
 from ctrl_rl_safety.filter.map_walls import Fixed
 from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
 from ctrl_rl_safety.filter.unblocking import Unblocking
@@ -88,6 +89,7 @@ class SafetyFilter:
         coming = (value.mover_speed + model.disturbance) * (latest + ladder.time_to_stand(top))
         self.reach = 0.71 * self._cell * NODES + model.radius + model.range_error + coming
         self._memory = EchoMemory(value.standing_time)
+        self._evidence = EchoEvidence(model, self.reach)
         self._space = SeenSpace(self.reach, model.radius) if value.unseen == "obstacle" else None
         self._walls = Walls(value.mover_size) if value.mover_size > 0.0 else None
         self._unblocking = Unblocking(value.unblock_after)
@@ -108,6 +110,7 @@ class SafetyFilter:
         age: float = 0.0,
         fixed: Fixed | None = None,
         sight: Sight | None = None,
+        beams: Beams | None = None,
     ) -> None:
         """Process a scan.
 
@@ -119,6 +122,7 @@ class SafetyFilter:
             fixed: Returns which positions (n, 2) in the odometry frame [m] are occupied on a map and thus never move
                 (n,); None without a map.
             sight: Free range of the scan in each direction, required by `unseen`.
+            beams: Beams of the scan with and without echo; by default a dense scan all around, with these echoes.
 
         Raises:
             SafetyError: Unseen space counts as an obstacle, but `sight` is missing.
@@ -126,9 +130,13 @@ class SafetyFilter:
         self._interval = min(max(now - self._arrived, 0.0), _LONGEST_INTERVAL)
         self._arrived = now
         near = thinned(echoes[np.hypot(echoes[:, 0], echoes[:, 1]) < self.reach])
-        places, before, edges = surfaces(near, self._side, 2.0 * self.model.half_width)
-        places, standing = _moved(places, pose), NONE
-        moving = _moved(edges, pose) if self.options.occluded_movers else NONE
+        widest = 2.0 * self.model.half_width
+        held = self._evidence.look(now, pose, beams_from(echoes, widest) if beams is None else beams)
+        places, before, edges = surfaces(near, self._side, widest)
+        places, standing = moved(places, pose), NONE
+        moving = moved(edges, pose) if self.options.occluded_movers else NONE
+        known = stays = np.ones(len(places), np.bool_)
+        fresh = places[: len(near)]
         if self.options.mover_speed > 0.0:
             known = self._memory.update(now, places)
             stays = np.zeros(len(places), np.bool_) if fixed is None else fixed(places)
@@ -137,10 +145,14 @@ class SafetyFilter:
                 stays |= np.concatenate((wall, wall[before] & wall[(before + 1) % max(len(near), 1)]))
             moving = np.concatenate((moving, places[~known & ~stays]))
             places, standing = places[stays], places[known & ~stays]
+        places, standing, moving = held.beside((places, standing, moving), fresh, self.options.mover_speed, SAME)
+        self._evidence.note(now, fresh, kinds_of(known, stays)[: len(near)])
         if self._space is not None:
             if sight is None:
-                raise SafetyError("unseen space counts as an obstacle: say how far the scan sees")
+                raise SafetyError("unseen space counts as an obstacle: give the free range of the scan")
             places = np.concatenate((places, self._space.update(pose, sight)))
+        if self._evidence.awaited:
+            return
         obstacles = obstacles_around(places, standing, moving, (float(pose[0]), float(pose[1])), self._cell)
         self._seen = obstacles, now - age - self.model.scan_age
 
@@ -167,9 +179,8 @@ class SafetyFilter:
         return self._set
 
     def forget(self) -> None:
-        """Discard scans and set, because the odometry frame has jumped."""
-        self._memory.clear()
-        for each in (self._space, self._walls):
+        """Discard scans and set, because the odometry frame has jumped; several new scans are needed from now on."""
+        for each in (self._memory, self._evidence, self._space, self._walls):
             if each is not None:
                 each.clear()
         self._set = self._seen = self._certified = None
@@ -285,10 +296,3 @@ def _path(situation: Situation, verdict: Verdict) -> Array:
     command = (float(verdict.command[0]), float(verdict.command[1]))
     path: Array = escape_path(situation, tuple(verdict.state.tolist()), command, verdict.escape)
     return path
-
-
-def _moved(points: Array, pose: Array) -> Array:
-    """Transform points (n, 2) from a frame to the one in which its pose (3,) is given."""
-    x, y, theta = (float(each) for each in pose)
-    c, s = math.cos(theta), math.sin(theta)
-    return points @ np.array(((c, s), (-s, c))) + (x, y)

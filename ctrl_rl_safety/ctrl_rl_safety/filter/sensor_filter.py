@@ -9,6 +9,7 @@ from ctrl_rl_core.sensing import planar, view_scan
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Sensors
+from ctrl_rl_safety.filter.evidence import beams_of
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading, Verdict
@@ -52,7 +53,8 @@ class SensorFilter:
             fixed = None
             if self._walls is not None and sensors.pose is not None:
                 fixed = self._walls.fixed(sensors.pose, pose)
-            safety.see(now, pose, points, fixed=fixed)
+            beams = beams_of(sensors.ranges, sensors.scan, self._lidar_x)
+            safety.see(now, pose, points, fixed=fixed, beams=beams)
             if self._set_period < math.inf and now - self._solved_at >= self._set_period - _ROUNDING_S:
                 self._solved_at = now
                 safety.use(safety.solve())

@@ -30,6 +30,7 @@ UNITS: Mapping[str, str] = {
     "length": "m",
     "width": "m",
     "track": "m",
+    "missing_rate": "",
 }
 _LARGEST: Mapping[str, float] = {
     "radius": 5.0,
@@ -47,8 +48,11 @@ _LARGEST: Mapping[str, float] = {
     "length": 10.0,
     "width": 10.0,
     "track": 10.0,
+    "missing_rate": 0.5,
 }
-_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width", "track"}
+_OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width", "track", "missing_rate"}
+_NO_KEY = {"name", "missing_rate"}
+"""Constants that a robot's file has elsewhere than among its lengths and limits."""
 _MAY_BE_ZERO = {"reverse_speed", *_OPTIONAL}
 
 
@@ -82,6 +86,7 @@ class RobotModel:
         length: Length of a rectangular robot [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
         track: Distance between two driven wheels [m]; 0 if speed and turn rate change independently.
+        missing_rate: Probability that a scan misses what its beams hit, 0 to 0.5.
 
     Raises:
         SafetyError: A number is not finite or is out of range for a robot, or the rectangle has only one side or does
@@ -104,6 +109,7 @@ class RobotModel:
     length: float = 0.0
     width: float = 0.0
     track: float = 0.0
+    missing_rate: float = 0.1
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -153,8 +159,9 @@ class RobotModel:
         Raises:
             OSError: The file cannot be written; the error names it.
         """
-        content = {name: f"{value:.6g} {UNITS[name]}" for name, value in asdict(self).items() if name != "name"}
-        atomic_write(Path(path), yaml.safe_dump({"name": self.name, **content}, sort_keys=False))
+        content = {name: f"{value:.6g} {UNITS[name]}" for name, value in asdict(self).items() if name not in _NO_KEY}
+        lidar = {"missing_rate": self.missing_rate}
+        atomic_write(Path(path), yaml.safe_dump({"name": self.name, **content, "lidar": lidar}, sort_keys=False))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RobotModel:
@@ -177,7 +184,8 @@ class RobotModel:
         """
         if robot.kind != "differential_drive":
             raise SafetyError(f"robot '{robot.name}' does not drive on wheels")
-        return cls(**{field.name: getattr(robot, field.name) for field in fields(cls)})
+        own = {field.name: getattr(robot, field.name) for field in fields(cls) if field.name != "missing_rate"}
+        return cls(**own, missing_rate=robot.lidar.missing_rate)
 
 
 class _Robots(Mapping[str, RobotModel]):

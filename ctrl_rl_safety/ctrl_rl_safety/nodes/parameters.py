@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ctrl_rl_core.policies import POSE_PARAMETERS
+from ctrl_rl_core.ros import robot_parameter
 
 from ctrl_rl_core import SCAN_PARAMETERS, Parameter
 from ctrl_rl_safety.filter.verdict import FilterOptions
@@ -11,62 +12,69 @@ _DEFAULT = FilterOptions()
 
 FILTER_PARAMETERS = (
     *SCAN_PARAMETERS,
+    robot_parameter(
+        "missing_rate",
+        "lidar.missing_rate",
+        "Probability that a scan misses what its beams hit; 0.0 to trust each scan alone.",
+        0.0,
+        0.5,
+    ),
     Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
     Parameter("raw_timeout", 0.5, "Age of the last raw command that counts as zero [s].", 0.05, 10.0),
-    Parameter("control_period", 0.05, "Longest time from command to command [s].", 0.02, 0.2),
+    Parameter("control_period", 0.05, "Maximum interval between commands [s].", 0.02, 0.2),
     Parameter(
         "mover_speed",
         _DEFAULT.mover_speed,
-        "Largest speed of people and other robots around; 0.0 where nothing else moves [m/s].",
+        "Maximum speed of people and other robots; 0.0 if nothing else moves [m/s].",
         0.0,
         5.0,
     ),
     Parameter(
         "mover_acceleration",
         _DEFAULT.mover_acceleration,
-        "Largest acceleration of what stood all the time [m/s^2].",
+        "Maximum acceleration of obstacles seen as static [m/s^2].",
         0.0,
         20.0,
     ),
     Parameter(
         "standing_time",
         _DEFAULT.standing_time,
-        "Time for which an echo must stay in place to count as standing [s].",
+        "Time for which an echo must stay in place to count as static [s].",
         0.2,
         20.0,
     ),
     Parameter(
         "mover_size",
         _DEFAULT.mover_size,
-        "Largest extent of a mover: what stands and is longer is a wall that never moves; 0.0 for none [m].",
+        "Maximum extent of a mover: a longer static surface counts as a wall that never moves; 0.0 for none [m].",
         0.0,
         20.0,
     ),
-    Parameter("evade", _DEFAULT.evade, "Whether a robot that would stand goes out of the way of what comes near."),
-    Parameter("use_map", False, "Use the topic `map`: what is on it never moves."),
+    Parameter("evade", _DEFAULT.evade, "Whether a stationary robot moves out of the way of approaching movers."),
+    Parameter("use_map", False, "Whether to use the topic `map`, whose obstacles never move."),
     *POSE_PARAMETERS,
     Parameter(
         "occluded_movers",
         _DEFAULT.occluded_movers,
-        "Whether somebody may step out from behind an edge that the scan shows.",
+        "Whether movers may emerge from behind an edge in the scan.",
     ),
     Parameter(
         "unseen",
         _DEFAULT.unseen,
-        "What the lidar never saw, behind the robot or an edge, counts as this; an obstacle stays where it is.",
+        "Treatment of unseen space, behind the robot or an edge; as an obstacle, it is static.",
         choices=("free", "obstacle"),
     ),
     Parameter(
         "hysteresis",
         _DEFAULT.hysteresis,
-        "Margin with which a raw command must be certified to pass again after a correction [m].",
+        "Margin required for a raw command to pass again after a correction [m].",
         0.0,
         0.5,
     ),
     Parameter(
         "unblock_after",
         _DEFAULT.unblock_after,
-        "Time after which a robot that is held turns to the side with more room; 0.0 for never [s].",
+        "Time after which a blocked robot turns to the side with more room; 0.0 for never [s].",
         0.0,
         3600.0,
     ),

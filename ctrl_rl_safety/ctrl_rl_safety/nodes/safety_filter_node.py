@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections import Counter, deque
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from visualization_msgs.msg import Marker
 from ctrl_rl_core import COMMAND, RESULT, LidarRobot, Parameter, RobotNode, ScanGeometry, VelocityError, run_node
 from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.evidence import beams_of
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.seen_space import sight_of
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
@@ -59,7 +61,7 @@ class SafetyFilterNode(RobotNode):
     def __init__(self) -> None:
         super().__init__("safety_filter")
         value = self.settings
-        model = find_model(value["robot"])
+        model = replace(find_model(value["robot"]), missing_rate=value["missing_rate"])
         options = FilterOptions(
             period=_JITTER * value["control_period"],
             mover_speed=value["mover_speed"],
@@ -142,9 +144,15 @@ class SafetyFilterNode(RobotNode):
             age = age_of("scan", stamp, clock, self.robot.timeout, self._ahead)
             fixed = None if self._map is None else self._map.fixed(self._odometry.reading(now).pose)
             lidar_x = self.settings["lidar_x"]
-            times = beam_times(view.points, scan, message.time_increment, lidar_x, self.robot.timeout)
-            echoes, sight = self._odometry.straightened(view.points, times, stamp), sight_of(ranges, scan, lidar_x)
-            self._filter.see(now, self._odometry.pose_at(stamp), echoes, age, fixed, sight)
+            beams, sight = beams_of(ranges, scan, lidar_x), sight_of(ranges, scan, lidar_x)
+            echoes, ends = (
+                self._odometry.straightened(
+                    each, beam_times(each, scan, message.time_increment, lidar_x, self.robot.timeout), stamp
+                )
+                for each in (view.points, beams.ends)
+            )
+            beams = beams._replace(ends=ends)
+            self._filter.see(now, self._odometry.pose_at(stamp), echoes, age, fixed, sight, beams)
         except (SafetyError, TransformError) as error:
             self._faults_of["scan"] = str(error)
             return

@@ -19,6 +19,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.evidence import beams_at
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading
 from ctrl_rl_safety.models.robot_model import RobotModel, find_model
@@ -140,7 +141,10 @@ class SafetyShield(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _see(self, safety: SafetyFilter, observation: Any, info: Mapping[str, Any]) -> None:
         x, y, theta, v, omega = self._state(observation, info).tolist()
         self._reading = Reading(np.array((x, y, theta)), v, omega)
-        safety.see(self._now, self._reading.pose, self._echoes(np.asarray(self._scan(observation, info), float)))
+        scan = np.asarray(self._scan(observation, info), float)
+        echoes = self._echoes(scan)
+        beams = None if self._bearings is None else beams_at(self._bearings, scan)
+        safety.see(self._now, self._reading.pose, echoes, beams=beams)
         if self._with_set:
             safety.use(safety.solve())
 
