@@ -1,0 +1,1 @@
+"""Drives at poles with a lidar that loses beams."""
