@@ -26,9 +26,12 @@ from ctrl_rl_learning.offline.witness import (
     map_from_record,
     task_with_map,
 )
+from ctrl_rl_learning.offline.witness.map_rays import map_ranges
 from ctrl_rl_learning.offline.witness.offset import Offset
+from sim_bridge.engines import shape_row
+from sim_bridge.fleet import scans
 
-from ctrl_rl_core import Actor, Interval, NavigationTask, load_navigation_task, task_digest, task_file
+from ctrl_rl_core import Actor, Interval, NavigationTask, OccupancyMap, load_navigation_task, task_digest, task_file
 
 Box = tuple[float, float, float, float]
 """Centre and size of a box [m]."""
@@ -293,3 +296,20 @@ def test_learning_in_process_refuses_bags_of_other_walls(
     with pytest.raises(LearningError, match="--map-from-bag"):
         learn_from_drives(told, "value_model")
     assert learn_from_drives(told, "bc", updates=5).manifest["method"] == "bc"
+
+
+def test_rays_through_a_map_end_at_its_walls() -> None:
+    cells = np.zeros((40, 60), np.int8)
+    cells[20:22, 30:40], cells[:1] = 100, 100
+    place = OccupancyMap(cells, 0.05, (1.0, -2.0, 0.4))
+    random = np.random.default_rng(0)
+    lidars = np.column_stack(
+        (place.cell_to_world(random.integers(5, 15, 50), random.integers(0, 60, 50)), np.arange(50.0))
+    )
+    bearings = np.linspace(-3.0, 3.0, 40)
+    ranges, exact = map_ranges(place, lidars, bearings, 2.0), np.empty((50, 40))
+    scans(np.array([shape_row(box) for box in place.boxes()]), lidars, bearings, 2.0, exact)
+    found = np.isfinite(ranges) & np.isfinite(exact)
+    assert 0.1 < found.mean() < 0.9
+    assert (np.isfinite(ranges) != np.isfinite(exact)).mean() < 0.01  # corners, and the end of the rays
+    assert np.quantile(np.abs(ranges[found] - exact[found]), 0.99) < 0.02

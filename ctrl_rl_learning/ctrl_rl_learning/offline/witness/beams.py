@@ -18,6 +18,7 @@ from sim_bridge.fleet import scans
 
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_learning.offline.data.motion import displaced
+from ctrl_rl_learning.offline.witness.map_rays import map_ranges
 from ctrl_rl_learning.offline.witness.record import Sightings
 
 Array = NDArray[np.float64]
@@ -54,7 +55,9 @@ class FileWalls:
 
     def __init__(self, task: NavigationTask) -> None:
         world = task.build_world()
-        self._shapes = np.array([shape_row(shape) for shape in (*world.walls, *world.obstacles)])
+        self._map = None if task.map is None else task.map.map
+        shapes = world.obstacles if self._map is not None else (*world.walls, *world.obstacles)
+        self._shapes = [shape_row(shape) for shape in shapes]
         self._mount = lidar_place(task)
 
     def expect(self, seen: Sightings) -> Expected:
@@ -72,9 +75,10 @@ class FileWalls:
         return Expected(middle, low, high, slopes)
 
     def _cast(self, lidars: Array, seen: Sightings) -> Array:
-        out = np.empty((len(lidars), len(seen.bearings)))
-        scans(self._shapes, lidars, seen.bearings, seen.reach, out)
-        return out
+        out = np.full((len(lidars), len(seen.bearings)), np.inf)
+        if self._shapes:
+            scans(np.array(self._shapes), lidars, seen.bearings, seen.reach, out)
+        return out if self._map is None else np.minimum(out, map_ranges(self._map, lidars, seen.bearings, seen.reach))
 
 
 def lidar_place(task: NavigationTask) -> tuple[float, float]:
