@@ -23,7 +23,7 @@ _FASTEST = 2.0
 _BESIDE = 1.0
 """Distance within which mapped obstacles outside the scan, behind the robot, are considered [m]."""
 _THIN = 0.03
-"""Side length of the cells from which the look-ahead uses one echo each [m]."""
+"""Side length of the cells that thin the echoes of the look-ahead to one per cell [m]."""
 _STAYS = 0.1
 """Radius within which a robot counts as staying in place [m]."""
 _TURNS = 0.5

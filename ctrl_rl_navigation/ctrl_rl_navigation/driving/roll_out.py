@@ -93,7 +93,7 @@ def _beside(points: Any, i: int, time: float, x: float, y: float, c: float, s: f
 
 @njit(fastmath=True)
 def _squares(points: Any, time: float, x: float, y: float, out: Any) -> None:
-    """Fill in the squared distances to the robot's centre (n,) [m^2]; such a loop is vectorised."""
+    """Fill in the squared distances to the robot's centre (n,) [m^2]; a separate loop, so that it is vectorised."""
     for i in range(len(out)):
         dx, dy = points[0, i] + time * points[2, i] - x, points[1, i] + time * points[3, i] - y
         out[i] = dx * dx + dy * dy

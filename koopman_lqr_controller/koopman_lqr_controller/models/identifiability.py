@@ -33,7 +33,7 @@ _DRIFT = 0.05
 _EXPLAINED = 0.1
 """Remaining fraction of the error if a constant explains it, as opposed to a nonlinearity."""
 _NAMED = 6
-"""Maximum number of columns named in a message; beyond, their number is given."""
+"""Maximum number of columns named in a message; the rest is given as a count."""
 _ROUNDED = 1e3
 """Number of rounding errors of the data that may add up."""
 

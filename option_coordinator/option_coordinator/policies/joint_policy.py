@@ -72,7 +72,7 @@ class Conditional(ABC):
         return float(-np.sum(np.exp(logs) * logs))
 
     def with_chosen(self, chosen: JointOptions | Sequence[Any]) -> JointOptions:
-        """Return joint options (N,): these for choosing agents, running options of others, `NONE` for absent ones."""
+        """Return joint options (N,): chosen ones, running ones of other agents, and `NONE` for absent agents."""
         out = self.running.copy()
         out[self.choosing] = chosen
         return out
