@@ -39,17 +39,24 @@ from verdicts.policies import FULL, STRAIGHT, always, blind, mirrored, random_ne
 from ctrl_rl_core import Actor, NavigationTask, Outcome, load_navigation_task, load_policy, task_file
 
 EPISODES, TESTS = 40, 20
+IN_CORRIDORS = 16, 8
+"""Episodes and tests in corridors, whose episodes are ten times as long."""
 BAD = ("straight", "full speed and turn", "mirrored", "blind", "random")
 KINDS = ("all", "successes alone", "failures alone", "never turns left", "five")
 QUICK = ("car_navigation",)
 SLOW = ("car_ttr", "corridor_sudden", "curved_corridor", "corridor_head_on", "corridor_doorways")
 
 
+def numbers(task: NavigationTask) -> tuple[int, int]:
+    """Return how many episodes are recorded and how many are driven as a test."""
+    return (EPISODES, TESTS) if task.corridor is None else IN_CORRIDORS
+
+
 @cache
 def recorded(name: str) -> tuple[NavigationTask, Transitions]:
     task = load_navigation_task(name)
     with TemporaryDirectory() as folder:
-        drive(task, ScriptedDriver(task), EPISODES, 0, Path(folder) / "bag")
+        drive(task, ScriptedDriver(task), numbers(task)[0], 0, Path(folder) / "bag")
         return task, load_transitions([Path(folder) / "bag"], task)
 
 
@@ -88,7 +95,7 @@ def driven(task_name: str, policy: str) -> tuple[float, float]:
         with TemporaryDirectory() as folder:
             bad(policy, clone_of(task_name)).save(Path(folder) / "policy.safetensors")
             driver = NoisyPolicy(load_policy(Path(folder) / "policy.safetensors"))
-    drives = drive(task, driver, TESTS, 900)
+    drives = drive(task, driver, numbers(task)[1], 900)
     return float(drives.returns(0.99).mean()), float(drives.success.mean())
 
 

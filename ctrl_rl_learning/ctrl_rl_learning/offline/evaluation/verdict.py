@@ -23,7 +23,8 @@ _LEAST_PIECES = 5
 _MOST_OFF = 0.01
 _MOST_CONTRADICTED = 0.02
 _MOST_MISSED = 0.2
-_MOST_OUTSIDE = 0.05
+_MOST_OUTSIDE = 0.2
+"""Share of the steps; the cautious models count each episode with such a step as lost, in any case."""
 _LOSS = 0.1
 """Success that the intervals may leave open: ten in a hundred fewer."""
 _MOST_ASKED = 500
@@ -242,7 +243,7 @@ def _of_gain(report: OfflineReport) -> Iterator[Objection]:
     success, gain = report.success, report.success_gain
     if success.low == 0.0:
         yield Objection("the policy may never reach the goal", "nothing: learn another policy")
-    elif gain.low < -_LOSS or success.low < report.driver_success:
+    elif gain.low < -_LOSS or success.low + 1.0 / report.episodes < report.driver_success:
         yield Objection(
             f"its success may be lower: {success.low:.0%} where the driver has {report.driver_success:.0%}, a "
             f"difference of {gain.low:+.0%} to {gain.high:+.0%}",
