@@ -16,6 +16,10 @@ REASONS = (ROBOT, ROS, ROOT, NETWORK, MACHINES, HOURS, ITSELF, CHANGES)
 _BRIDGE = "ros2 run sim_bridge bridge --ros-args -p task:="
 _DRIVES = "ros2 run ctrl_rl_bringup record_drives --episodes 3 --speed 8 --output runs/drives\n"
 _LOOP = "ros2 run ctrl_rl_trials loop --folder runs/first"
+_TEAM = """
+ros2 run option_coordinator loop --folder first --seeds 1 --rounds 1 --episodes 20 --tests 1
+learnt=$(echo first/tool_delivery-s0/round_1/learning/*/policy.safetensors)
+"""
 _KOOPMAN = "--seeds 1 --samples 1000 --actions 500 --episodes 1 --consolidation 2"
 
 
@@ -33,9 +37,10 @@ PAGES = {
     "docs/bags.md": Page(
         60.0,
         before="ros2 run ctrl_rl_bringup record_drives --episodes 2 --speed 8 --output runs/corridor\n"
+        + _TEAM
+        + "cp -r first/tool_delivery-s0/round_0/bag runs/team_bag; cp $learnt team.safetensors\n"
         + _robot("curved_corridor"),
         between={"ros2 run ctrl_rl_bags recorder": "sleep 5; stop 'ctrl_rl_bags recorder'"},
-        skipped={"ros2 run option_coordinator train": HOURS},
     ),
     "docs/explanation/ladder.md": Page(
         300.0,
@@ -198,10 +203,9 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
     ),
     "option_coordinator/README.md": Page(
         600.0,
-        before="""
-ros2 run option_coordinator loop --folder first --seeds 1 --rounds 1 --episodes 20 --tests 1
-mkdir -p runs/mine && cp -r first/tool_delivery-s0/round_0/bag runs/mine/bag
-cp first/tool_delivery-s0/round_1/learning/*/policy.safetensors policy.safetensors
+        before=_TEAM
+        + """
+mkdir -p runs/mine && cp -r first/tool_delivery-s0/round_0/bag runs/mine/bag; cp $learnt policy.safetensors
 sed 's/^name: .*/name: my_team/' \
   "$(python -c 'from option_coordinator import team_file; print(team_file("delivery_team"))')" > my_team.yaml
 """,
