@@ -199,8 +199,8 @@ def read_frames(folder: Path, layout: Layout) -> Iterator[Frames]:
 @contextmanager
 def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     """Open a Parquet file under a memory limit, because a short file can unfold to gigabytes."""
-    # Arrow's own pool reserves a gigabyte of addresses with its first allocation: all that the limit allows.
-    pa.set_memory_pool(pa.system_memory_pool())
+    # Arrow's pool reserves a gigabyte of addresses with its first allocation: all that the limit would allow.
+    pa.array([0.0])
     with open_file(path, math.inf) as (stream, size), limited_memory(MEMORY + 8 * size), pq.ParquetFile(stream) as file:
         yield file
 
