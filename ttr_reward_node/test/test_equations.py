@@ -105,7 +105,7 @@ def test_what_hides_between_the_ends_is_found():
 
 
 def test_a_system_without_controls_flows():
-    """x' = -1 takes as long as the target is far, and never reaches it from the other side."""
+    """With x' = -1, the time equals the distance to the target, which is unreachable from the other side."""
     own = system(lambda _m, x, _u, _d: (0.0 * x[0] - 1.0,), states="x", controls="")
     flow = problem(own, count=161)
     assert flow.control_samples.shape == (1, 0)

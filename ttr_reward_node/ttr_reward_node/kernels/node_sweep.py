@@ -290,8 +290,8 @@ def _cell(base: int, corners: Corners) -> int:
 def _simplex(base: int, corners: Corners) -> int:
     """Fill in the up to n + 1 corners of the simplex in the cell, and return their number.
 
-    Starting at the lowest corner, each next one is one up along another axis, in descending order of the end's
-    distance.
+    The path over the corners starts at the lowest one and goes up along one axis at a time, in descending order of the
+    end's distance.
     """
     before = np.int64(PER_CELL)
     for c in range(corners.between + 1):

@@ -196,6 +196,6 @@ class Phases:
         return False
 
     def _give_up(self) -> bool:
-        """Mark nodes with small w as unreachable, since these would become times of hours."""
+        """Mark nodes with small w as unreachable: they would otherwise show times of hours."""
         self.sweeper.values[self.sweeper.values < _CUT] = 0.0
         return False

@@ -136,7 +136,7 @@ def measure_cost(
 
     Args:
         names: Names of systems, keys of `CASES`.
-        sizes: Approximate numbers of points. Cases end at their `most`.
+        sizes: Approximate numbers of points. Sizes above a case's `most` are skipped.
         methods: Names of the solvers, of `solver.METHODS`.
         progress: Function called before each solution with its name and number of points.
 
