@@ -37,6 +37,7 @@ def test_a_policy_that_is_wrongly_called_better_is_marked() -> None:
     assert table(each).splitlines()[1].split() == ["alike", "1", "3", "2", "1", "2", "1", "0"]
 
 
+@pytest.mark.slow
 def test_command_judges_a_world_and_writes_results(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
