@@ -65,7 +65,7 @@ def _straight_word(kind: int, pose: Array, end: float, t: float, box: Array) -> 
 
 @cached_njit
 def _aim(kind: int, pose: Array, end: float, box: Array, i: int) -> float:
-    """Return the i-th candidate for the first turn: towards corners, centre and sides of the box, then even spacing."""
+    """Return candidate i for the first turn: towards corners, centre and sides of the box, then evenly spaced."""
     a, turn = pose[2], TURNS[kind, 0]
     if i == 0:
         return 0.0
