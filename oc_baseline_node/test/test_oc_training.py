@@ -125,7 +125,7 @@ def test_groups_name_methods():
         (["--task", "quad_trap", "--workers", "-1"], "--workers must be a whole number of at least 0, not -1"),
         (["--task", "nowhere"], "nowhere"),
         (["--task", "quad_trap", "--value", "no.safetensors"], "no value 'no.safetensors'"),
-        (["--task", "car_ttr"], "no value 'car_ttr'"),
+        (["--task", "car_ttr"], "task 'car_ttr' has no part 'optimal_control'"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, message, capsys, tmp_path):

@@ -240,7 +240,7 @@ def test_policies_that_could_not_choose_are_refused_when_they_are_read(tmp_path,
     for name in ("head.bias", "trunk.linear_2.weight"):
         broken = right | {f"{last}{name}": right[f"{last}{name}"][:-1]}
         OptionPolicy(agents, head, partial, broken).save(path)
-        with pytest.raises(CtrlRlError, match=r"p\.safetensors: its tensors do not fit"):
+        with pytest.raises(CtrlRlError, match=r"p\.safetensors: its tensors do not match"):
             OptionPolicy.load(path)
 
 
