@@ -5,6 +5,7 @@ A command calls `parse_options` with a dataclass whose docstrings become its hel
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 import re
@@ -56,16 +57,26 @@ def parse_options(program: str, kind: Any, arguments: Sequence[str] | None = Non
     description = "\n\n".join(filter(None, (own, epilog)))
     try:
         with on_parse_error(_refuse):
-            return tyro.cli(
+            options = tyro.cli(
                 kind,
                 prog=program,
                 description=description,
                 args=arguments,
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
             )
+            _refuse_empty(options)
+            return options
     except CommandError as error:
         print(f"{program}: {error}; see {program} --help", file=sys.stderr)
         raise SystemExit(EXIT_USAGE) from None
+
+
+def _refuse_empty(options: Any) -> None:
+    """Refuse a required list without an element, which tyro accepts."""
+    for field in dataclasses.fields(options) if dataclasses.is_dataclass(options) else ():
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and getattr(options, field.name) == ():
+            raise CommandError(f"missing {field.name}")
 
 
 def _refuse(event: ParseErrorEvent) -> None:

@@ -6,8 +6,10 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+import tyro
 from ctrl_rl_core.command import FiniteNumber, Positive, at_least, file_to_write, folder_to_write
 
 from ctrl_rl_core import parse_options
@@ -46,6 +48,24 @@ def test_a_wrong_command_line_is_refused_in_one_line(capsys, arguments: list[str
         parse_options("roll", Rollouts, arguments)
     assert end.value.code == 2
     assert capsys.readouterr().err == f"roll: {words}; see roll --help\n"
+
+
+@dataclass
+class Files:
+    """Read files."""
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Files to read."""
+    others: tuple[Path, ...] = ()
+    """Files that may be missing."""
+
+
+def test_a_list_that_has_no_default_needs_an_element(capsys: pytest.CaptureFixture[str]):
+    assert parse_options("read", Files, ["a", "b"]).files == (Path("a"), Path("b"))
+    with pytest.raises(SystemExit) as end:
+        parse_options("read", Files, [])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "read: missing files; see read --help\n"
 
 
 def test_where_nothing_can_be_written_is_refused_before_any_work(tmp_path: Path):
