@@ -113,6 +113,12 @@ def test_each_row_keeps_the_command_and_commit_that_measured_it(
     assert "2 rows, 2 seeds, mean and standard deviation over them;" in page
 
 
+def test_a_command_is_kept_without_the_folders_of_one_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["/opt/bin/train", "--peer", str(tmp_path / "python"), "--output", "runs/a.json"])
+    write_results(tmp_path / "a.json", "Speed", [0], [Result("ours", "speed", "1", [1.0])])
+    assert json.loads((tmp_path / "a.json").read_text())["command"] == "train --peer python --output runs/a.json"
+
+
 def test_rows_whose_command_is_not_known_are_called_older(tmp_path: Path) -> None:
     file = tmp_path / "returns.json"
     write_results(file, "returns", [0], [Result("cart", "return", "1", [1.0])])

@@ -295,8 +295,13 @@ def _dump(content: Mapping[str, Any]) -> str:
 
 
 def _origin() -> Origin:
-    """Return the running command and the commit of the working folder."""
-    return Origin(command=" ".join([Path(sys.argv[0]).name, *sys.argv[1:]]), commit=_commit())
+    """Return the running command and the commit of the working folder.
+
+    Absolute paths are reduced to their last part, because their folders exist on one computer only.
+    """
+    name, *words = sys.argv
+    kept = [Path(word).name if Path(word).is_absolute() else word for word in words]
+    return Origin(command=" ".join([Path(name).name, *kept]), commit=_commit())
 
 
 def _commit() -> str:
