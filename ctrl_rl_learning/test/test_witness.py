@@ -203,7 +203,9 @@ def test_a_map_from_the_bag_is_the_world(true: tuple[NavigationTask, DriveRecord
     task, seen = true
     x, y, *size = BOXES[0]
     wrong = room(tmp_path / "file", ((x + 0.3, y, *size), *BOXES[1:]))
-    file = task_with_map(seen, wrong, str(tmp_path / "file" / "room.yaml"), tmp_path / "map", "bag")
+    file = task_with_map(
+        map_from_record(seen, wrong), wrong, str(tmp_path / "file" / "room.yaml"), tmp_path / "map", "bag"
+    )
     mapped = load_navigation_task(file)
     assert (mapped.name, mapped.obstacles, mapped.arena) == ("room_map", (), None)
     assert (mapped.start, mapped.goal, mapped.robot) == (wrong.start, wrong.goal, wrong.robot)
@@ -226,14 +228,23 @@ def test_the_picture_shows_walls_beams_and_drives(true: tuple[NavigationTask, Dr
     assert len(account.paths) == 8
 
 
-def test_commands_refuse_bags_of_other_walls(tmp_path: Path, capsys) -> None:
-    world, file = room(tmp_path / "world"), tmp_path / "file" / "room.yaml"
+def shifted_box(folder: Path, episodes: int) -> tuple[NavigationTask, Path, list[str], list[str]]:
+    """Record drives in a room whose file has a box 30 cm off.
+
+    Returns the true room, the file for a policy, and options of commands: the bag, and quick learning.
+    """
+    world, file = room(folder / "world"), folder / "file" / "room.yaml"
     x, y, *size = BOXES[0]
     room(file.parent, ((x + 0.3, y, *size), *BOXES[1:]))
-    drive(world, ScriptedDriver(world), 6, 0, tmp_path / "bag")
-    common = [str(tmp_path / "bag"), "--task", str(file), "--other-task"]
-    policy = tmp_path / "out" / "policy.safetensors"
-    quick = ["--output", str(policy), "--updates", "20", "--hidden", "8", "--values", str(tmp_path / "values")]
+    drive(world, ScriptedDriver(world), episodes, 0, folder / "bag")
+    common = [str(folder / "bag"), "--task", str(file), "--other-task"]
+    policy = folder / "out" / "policy.safetensors"
+    quick = ["--output", str(policy), "--updates", "20", "--hidden", "8", "--values", str(folder / "values")]
+    return world, policy, common, quick
+
+
+def test_commands_refuse_bags_of_other_walls(tmp_path: Path, capsys) -> None:
+    _, policy, common, quick = shifted_box(tmp_path, 6)
     assert learn_offline([*common, *quick]) == 2
     said = capsys.readouterr()
     assert "a wall at" in said.err
@@ -248,13 +259,7 @@ def test_commands_refuse_bags_of_other_walls(tmp_path: Path, capsys) -> None:
 
 
 def test_commands_go_by_the_map_from_the_bag(tmp_path: Path, capsys) -> None:
-    world, file = room(tmp_path / "world"), tmp_path / "file" / "room.yaml"
-    x, y, *size = BOXES[0]
-    room(file.parent, ((x + 0.3, y, *size), *BOXES[1:]))
-    drive(world, ScriptedDriver(world), 10, 0, tmp_path / "bag")
-    common = [str(tmp_path / "bag"), "--task", str(file), "--other-task"]
-    policy = tmp_path / "out" / "policy.safetensors"
-    quick = ["--output", str(policy), "--updates", "20", "--hidden", "8", "--values", str(tmp_path / "values")]
+    world, policy, common, quick = shifted_box(tmp_path, 10)
     assert learn_offline([*common, *quick, "--map-from-bag"]) == 0
     said = capsys.readouterr()
     assert "a wall at" not in said.err

@@ -12,7 +12,7 @@ from ctrl_rl_core.command import EXIT_USAGE
 
 from ctrl_rl_core import NavigationTask, load_navigation_task, task_digest
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.witness import DriveRecord, draw_account, examine, task_with_map
+from ctrl_rl_learning.offline.witness import DriveRecord, draw_account, examine, map_from_record, task_with_map
 
 _Options = TypeVar("_Options")
 
@@ -77,13 +77,14 @@ def take_map(
         LearningError: The task has no walls that a map could replace, or the folder holds a map of other walls.
     """
     task = load_navigation_task(source)
+    mapped = map_from_record(record, task)
     with TemporaryDirectory() as temporary:
-        found = load_navigation_task(task_with_map(record, task, source, Path(temporary), about))
+        found = load_navigation_task(task_with_map(mapped, task, source, Path(temporary), about))
     if folder is not None:
         file = folder / f"{found.name}.yaml"
         if file.exists() and not overwrite and task_digest(load_navigation_task(file)) != task_digest(found):
             raise LearningError(f"{file} exists, with other walls: name another folder, or --overwrite to replace it")
-        found = load_navigation_task(task_with_map(record, task, source, folder, about))
+        found = load_navigation_task(task_with_map(mapped, task, source, folder, about))
         print(f"map        {file}: the walls by the bags; for other commands --task {file} --other-task")
     account = examine(record, found)
     print(f"           {account.differing:.1%} of the beams differ from it")

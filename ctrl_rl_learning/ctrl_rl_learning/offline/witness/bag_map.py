@@ -51,7 +51,18 @@ class MapFromBag:
 
 
 def map_from_record(record: DriveRecord, task: NavigationTask) -> MapFromBag:
-    """Return the map of what drives of a task saw, over the area of its file."""
+    """Return the map of what drives of a task saw, over the area of its file.
+
+    Raises:
+        LearningError: The task's start and goal are stretches of a corridor, or nothing on the floor was seen.
+    """
+    if task.corridor is not None:
+        raise LearningError(
+            f"--map-from-bag: start and goal of task '{task.name}' are stretches of its corridor, of which a map knows "
+            "none: fix 'corridor' in its file"
+        )
+    if task.plane != "xy" or not record.sightings:
+        raise LearningError(f"--map-from-bag: the bags of task '{task.name}' show no walls on a floor")
     sides = task.plane_bounds.values()
     grid = Cells.around(np.array([side.low for side in sides]), np.array([side.high for side in sides]), _MARGIN, _CELL)
     beams = compare(record.sightings, task)
@@ -102,30 +113,21 @@ def _behind_new_walls(
     return np.asarray(closed | np.isin(names, touched[touched > 0]))
 
 
-def task_with_map(record: DriveRecord, task: NavigationTask, source: str, folder: Path, bags: str) -> Path:
-    """Write a task whose world is the map of recorded drives, and that map, into a folder; return the task's file.
+def task_with_map(found: MapFromBag, task: NavigationTask, source: str, folder: Path, bags: str) -> Path:
+    """Write a task whose world is a map from recorded drives, and that map, into a folder; return the task's file.
 
     Args:
-        record: What the drives saw.
+        found: The map.
         task: Task whose start, goal, robot and rewards it keeps.
         source: Name or file of that task.
         folder: Folder of the two files.
         bags: Names of the bags, for the file's `source`.
 
     Raises:
-        LearningError: The task's start and goal are stretches of a corridor, or nothing on the floor was seen.
         OSError: A file cannot be written.
     """
-    if task.corridor is not None:
-        raise LearningError(
-            f"--map-from-bag: start and goal of task '{task.name}' are stretches of its corridor, of which a map knows "
-            "none: fix 'corridor' in its file"
-        )
-    if task.plane != "xy" or not record.sightings:
-        raise LearningError(f"--map-from-bag: the bags of task '{task.name}' show no walls on a floor")
     name = task.name if task.name.endswith("_map") else f"{task.name}_map"
     folder.mkdir(parents=True, exist_ok=True)
-    found = map_from_record(record, task)
     found.map.save(folder / f"{name}_walls.yaml")
     content: dict[str, Any] = {key: part for key, part in read_yaml(task_file(source)).items() if key not in _LEFT_OUT}
     content["name"], content["map"] = name, {"file": f"{name}_walls.yaml"}
