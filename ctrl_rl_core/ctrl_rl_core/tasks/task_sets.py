@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ctrl_rl_core.geometry.shapes import ArcPath
+from ctrl_rl_core.geometry.shapes import ArcPath, World
 from ctrl_rl_core.tasks.outcome import Outcome
 from ctrl_rl_core.tasks.regions import Region, position_indices, wrap
 from ctrl_rl_core.tasks.task import NavigationTask
@@ -47,15 +47,16 @@ class TaskSets:
     Args:
         task: Task with the sets.
         width: Free width of its corridor [m]; None for the task's own.
+        world: Walls and obstacles of an episode in place of those, if given.
 
     Raises:
         TaskError: The width is invalid for the task.
     """
 
-    def __init__(self, task: NavigationTask, width: float | None = None) -> None:
+    def __init__(self, task: NavigationTask, width: float | None = None, world: World | None = None) -> None:
         self._names = task.system.build().state_names
         self._positions = position_indices(self._names)
-        self._world = task.build_world(width)
+        self._world = task.build_world(width) if world is None else world
         self._radius = task.robot.radius
         self._tilt_limit = math.inf if task.robot.tilt_limit is None else task.robot.tilt_limit
         self._tilt = self._names.index("psi") if "psi" in self._names else None

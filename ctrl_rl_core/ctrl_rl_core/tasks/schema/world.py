@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, PrivateAttr, ValidationInfo, computed_field, field_validator, model_validator
 
 from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
@@ -127,6 +128,33 @@ class DoorwaySpec(Part):
         """Maximum distance of a doorway's side from the path [m]."""
         return max(-self.offset.low, self.offset.high) + 0.5 * self.width.high
 
+    def count(self, corridor: CorridorSpec) -> int:
+        """Return the number of partitions in a corridor."""
+        return max(0, int(corridor.path.length / self.spacing + 0.5) - 1)
+
+    def partition(self, corridor: CorridorSpec, width: float, number: int, shares: ArrayLike) -> tuple[Box, Box]:
+        """Return the two boxes beside one doorway.
+
+        Args:
+            corridor: Corridor of the doorways.
+            width: Free width of the corridor [m].
+            number: Number of the partition along the path, from 0.
+            shares: Place along the path, offset and free width (3,), each as a share of its range, 0 to 1.
+        """
+        path, outside = corridor.path, 0.5 * width + corridor.wall_thickness
+        along, aside, wide = np.asarray(shares, dtype=float).tolist()
+        s = (number + 1) * self.spacing + self.shift * (2.0 * along - 1.0)
+        middle = self.offset.low + aside * self.offset.length
+        half = 0.5 * (self.width.low + wide * self.width.length)
+        x, y, heading = path.pose(s).tolist()
+
+        def box(near: float, far: float) -> Box:
+            lateral = 0.5 * (near + far)
+            centre = (x - lateral * math.sin(heading), y + lateral * math.cos(heading))
+            return Box(centre, (self.thickness, far - near), heading)
+
+        return box(middle + half, outside), box(-outside, middle - half)
+
     def partitions(self, corridor: CorridorSpec, width: float, random: np.random.Generator | None) -> Iterator[Box]:
         """Yield two boxes per doorway.
 
@@ -135,17 +163,9 @@ class DoorwaySpec(Part):
             width: Free width of the corridor [m].
             random: Random generator of positions and widths; None for the midpoints of their ranges.
         """
-        path, outside = corridor.path, 0.5 * width + corridor.wall_thickness
-        for index in range(1, int(path.length / self.spacing + 0.5)):
-            share = np.full(3, 0.5) if random is None else random.uniform(size=3)
-            s = index * self.spacing + self.shift * (2.0 * share[0] - 1.0)
-            middle = self.offset.low + share[1] * self.offset.length
-            half = 0.5 * (self.width.low + share[2] * self.width.length)
-            x, y, heading = path.pose(s).tolist()
-            for near, far in ((middle + half, outside), (-outside, middle - half)):
-                lateral = 0.5 * (near + far)
-                centre = (x - lateral * math.sin(heading), y + lateral * math.cos(heading))
-                yield Box(centre, (self.thickness, far - near), heading)
+        for number in range(self.count(corridor)):
+            shares = np.full(3, 0.5) if random is None else random.uniform(size=3)
+            yield from self.partition(corridor, width, number, shares)
 
 
 class MapSpec(Part):
