@@ -79,10 +79,11 @@ class Certificate:
         if self.drives and self.arrived is not None:
             driven = f"{100 * self.arrived:.0f} % of {self.drives} drives arrive"
             if self.ratio_median is not None:
-                driven += f", in {self.ratio_median:.3f} of the promised time (median; 95 %: {self.ratio_p95:.2f})"
+                within = f"(median; 95 % within {self.ratio_p95:.2f})"
+                driven += f", taking {self.ratio_median:.3f} times the predicted time {within}"
         else:
-            driven = "no drive tells"
-        return f"{driven}; {self.contradictions} of {self.paths} paths back contradict"
+            driven = "no drive was conclusive"
+        return f"{driven}; {self.contradictions} of {self.paths} backward paths contradict the solution"
 
     def as_notes(self) -> dict[str, str]:
         """Return the certificate as a note for a value file."""
@@ -169,8 +170,8 @@ def _doubt_of_paths(paths: PathsBack, problem: TimeToReachProblem, value: ValueG
     claim = "calls it unreachable" if np.isinf(paths.promised) else f"says {paths.promised:.3g} s"
     other = _OTHER.get(value.solver, "") if is_affine(problem.system) else ""
     return (
-        f"from {place(problem.system, paths.state)} it arrives in {paths.possible:.3g} s, but the solution {claim}, "
-        f"and so for {paths.contradictions} of {paths.paths} paths back: {_finer(problem)}{other}"
+        f"from {place(problem.system, paths.state)} the target is {paths.possible:.3g} s away, "
+        f"but the solution {claim}; {paths.contradictions} of {paths.paths} backward paths contradict it: {_finer(problem)}{other}"
     )
 
 
@@ -184,15 +185,16 @@ def _doubt_of_drives(drives: Drives, problem: TimeToReachProblem) -> str:
         failed = np.flatnonzero(told & ~drives.arrives)
         row = failed[np.argmin(drives.promised[failed])]
         return (
-            f"{100 * arrived:.0f} % of {told.sum()} drives arrive; from {place(problem.system, drives.states[row])} "
-            f"one does not in 1.5 times {drives.promised[row]:.3g} s, the solution's time: {_finer(problem)}"
+            f"only {100 * arrived:.0f} % of {told.sum()} drives arrive; the one from "
+            f"{place(problem.system, drives.states[row])} takes over 1.5 times the predicted "
+            f"{drives.promised[row]:.3g} s: {_finer(problem)}"
         )
     ratio = np.median((drives.taken / drives.promised)[arrives])
     steps = np.median(((drives.taken - drives.promised) / drives.step)[arrives])
     if abs(steps) > _STEPS and not _SOONER <= ratio <= _SLOWER:
-        longer = "longer than" if ratio > 1.0 else "less than"
+        longer = "longer" if ratio > 1.0 else "less"
         part = 100 * abs(ratio - 1.0)
-        return f"drives take {part:.0f} % {longer} the solution's times, in the median: {_finer(problem)}"
+        return f"the median drive takes {part:.0f} % {longer} than the solution predicts: {_finer(problem)}"
     return ""
 
 

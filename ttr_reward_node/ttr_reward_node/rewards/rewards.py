@@ -165,7 +165,7 @@ def check_informative(value: ValueFunction) -> None:
     if longest_time(value) == 0.0:
         raise TimeToReachError(
             f"by the time to reach of task '{value.task}' nothing outside the goal reaches it, so its reward would be "
-            "0 everywhere: mend the task and solve it again"
+            "0 everywhere: correct the task and solve it again"
         )
 
 
