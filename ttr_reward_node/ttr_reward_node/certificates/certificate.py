@@ -171,7 +171,8 @@ def _doubt_of_paths(paths: PathsBack, problem: TimeToReachProblem, value: ValueG
     other = _OTHER.get(value.solver, "") if is_affine(problem.system) else ""
     return (
         f"from {place(problem.system, paths.state)} the target is {paths.possible:.3g} s away, "
-        f"but the solution {claim}; {paths.contradictions} of {paths.paths} backward paths contradict it: {_finer(problem)}{other}"
+        f"but the solution {claim}; {paths.contradictions} of {paths.paths} backward paths contradict it: "
+        f"{_finer(problem)}{other}"
     )
 
 
