@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import MoverPlan
-from sim_bridge.engines.engine import Engine, MovingDisc
+from sim_bridge.engines.engine import Engine
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -32,14 +32,54 @@ class MoverStates:
     radii: Array
 
 
-@dataclass
-class _Mover:
-    plan: MoverPlan
-    body: MovingDisc
-    position: Pair
-    velocity: Pair = _STILL
-    steps: int = 0  # physics steps since its start
-    started: bool = False
+class MoverCourse:
+    """A mover on its planned path, step by step: it starts, waits for robots and jumps back as its plan says.
+
+    Attributes:
+        plan: Its plan.
+        position: Its position [m].
+        velocity: Its velocity in the last step [m/s].
+    """
+
+    def __init__(self, plan: MoverPlan, rate: int, robot_radius: float) -> None:
+        """Put the mover at the start of its path.
+
+        Args:
+            plan: Path, speed and size.
+            rate: Steps per second [Hz].
+            robot_radius: Radius of a circle that encloses a robot [m].
+        """
+        self.plan, self._rate = plan, rate
+        self.position, self.velocity = plan.motion.position(0.0), _STILL
+        self._least = plan.radius + robot_radius + (plan.yields or 0.0)
+        self._steps, self._started = 0, False  # steps since its start
+
+    def advance(self, time: float, robots: Sequence[Pair], top_speed: float) -> Pair:
+        """Move by one step, and return where it begins: behind a jump where there is one [m].
+
+        Args:
+            time: Time since the start of the episode [s].
+            robots: Positions of the robots [m].
+            top_speed: Maximum speed; twice that is a jump [m/s].
+        """
+        plan, here = self.plan, self.position
+        if not self._started:
+            near = plan.near is None or any(math.dist(here, robot) < plan.near for robot in robots)
+            self._started = time >= plan.delay and near
+        there = plan.motion.position((self._steps + 1) / self._rate) if self._started else here
+        if plan.yields is not None and self._blocked(there, robots):
+            there = here
+        elif self._started:
+            self._steps += 1
+        velocity = ((there[0] - here[0]) * self._rate, (there[1] - here[1]) * self._rate)
+        if math.hypot(*velocity) > 2.0 * top_speed:  # the motion jumps back to its start
+            here, velocity = there, _STILL
+        self.position, self.velocity = there, velocity
+        return here
+
+    def _blocked(self, there: Pair, robots: Sequence[Pair]) -> bool:
+        """Return whether moving on would bring it too close to a robot."""
+        return any(math.dist(there, robot) < min(self._least, math.dist(self.position, robot)) for robot in robots)
 
 
 class Movers:
@@ -58,11 +98,9 @@ class Movers:
             rate: Physics steps per second [Hz].
             robot_radius: Radius of a circle that encloses a robot [m].
         """
-        self._engine, self._rate, self._robot_radius = engine, rate, robot_radius
-        self._movers = []
-        for plan in plans:
-            position = plan.motion.position(0.0)
-            self._movers.append(_Mover(plan, engine.add_mover(plan.radius, position), position))
+        self._engine, self._rate = engine, rate
+        self._movers = [MoverCourse(plan, rate, robot_radius) for plan in plans]
+        self._bodies = [engine.add_mover(mover.plan.radius, mover.position) for mover in self._movers]
         self.top_speed = max((plan.motion.top_speed for plan in plans), default=0.0)
         self._look = any(plan.near is not None or plan.yields is not None for plan in plans)
 
@@ -78,29 +116,8 @@ class Movers:
             robots: Function that returns the robots' positions [m].
         """
         places = robots() if self._look else []
-        for mover in self._movers:
-            self._advance(mover, step / self._rate, places)
-
-    def _advance(self, mover: _Mover, time: float, robots: Sequence[Pair]) -> None:
-        plan, here = mover.plan, mover.position
-        if not mover.started:
-            near = plan.near is None or any(math.dist(here, robot) < plan.near for robot in robots)
-            mover.started = time >= plan.delay and near
-        there = plan.motion.position((mover.steps + 1) / self._rate) if mover.started else here
-        if plan.yields is not None and self._blocked(mover, there, plan.yields, robots):
-            there = here
-        elif mover.started:
-            mover.steps += 1
-        velocity = ((there[0] - here[0]) * self._rate, (there[1] - here[1]) * self._rate)
-        if math.hypot(*velocity) > 2.0 * self.top_speed:  # the motion jumps back to its start
-            here, velocity = there, _STILL
-        mover.body.move(here, velocity)
-        mover.position, mover.velocity = there, velocity
-
-    def _blocked(self, mover: _Mover, there: Pair, gap: float, robots: Sequence[Pair]) -> bool:
-        """Return whether moving on would bring a mover too close to a robot."""
-        least = mover.plan.radius + self._robot_radius + gap
-        return any(math.dist(there, robot) < min(least, math.dist(mover.position, robot)) for robot in robots)
+        for mover, body in zip(self._movers, self._bodies, strict=True):
+            body.move(mover.advance(step / self._rate, places, self.top_speed), mover.velocity)
 
     def states(self) -> MoverStates:
         """Return the current positions and velocities."""
