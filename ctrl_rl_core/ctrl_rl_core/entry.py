@@ -7,7 +7,9 @@ in place before the executable's own modules are imported.
 
 from __future__ import annotations
 
+import atexit
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable
@@ -49,6 +51,9 @@ class Door:
         program = os.path.basename(sys.argv[0])
         _open_standard_streams()
         set_handlers(self._end)
+        # The interpreter restores the default handlers before its last clean-up, but leaves ignored signals alone. The
+        # first function registered runs last.
+        atexit.register(set_handlers, signal.SIG_IGN)
         module, _, function = self._target.rpartition(".")
         if module == _MOVED:  # printed here, because a cached help page does not mention it
             _say(f"{program}: this command is now `ros2 run {MOVED_TO} {program}`")

@@ -30,6 +30,16 @@ def work():
     slow = Slow()
     del slow
     time.sleep(1000)""",
+    "ends_slowly": """import time
+class Slow:
+    def __init__(self):
+        self.sleep, self.print = time.sleep, print
+    def __del__(self):
+        self.print('ready', flush=True)
+        self.sleep(1.0)
+slow = Slow()
+def work():
+    return 2""",
     "fails": "def work():\n    return {}['nothing']",
     "prints": "def work():\n    print('words', flush=False)\n    return 0",
     "prints_much": "def work():\n    for _ in range(100_000):\n        print('words')\n    return 0",
@@ -84,6 +94,16 @@ def test_a_command_that_is_interrupted_ends_with_130_and_one_line(
     _, errors = process.communicate(timeout=120.0)
     assert process.returncode == 130, errors
     assert [line.partition(": ")[2] for line in errors.splitlines()] == ["interrupted"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, STOP_SIGNALS[-1]])
+def test_a_signal_during_the_interpreters_last_clean_up_changes_nothing(executables: Executables, number: int) -> None:
+    process = executables.start(executables.make("ends_slowly", WORK["ends_slowly"]))
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=120.0)
+    assert (process.returncode, errors) == (2, "")
 
 
 def test_a_node_that_is_interrupted_while_it_imports_ends_in_good_order(executables: Executables) -> None:
