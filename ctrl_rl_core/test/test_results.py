@@ -22,7 +22,15 @@ def test_a_row_carries_its_values_and_their_mean_and_spread(tmp_path: Path) -> N
     assert content["seeds"] == [0, 1]
     assert content["command"]
     assert content["rows"] == [
-        {"method": "edmd", "metric": "time", "unit": "s", "values": [2.0, 4.0], "mean": 3.0, "std": 1.0, "thesis": 3.5}
+        {
+            "method": "edmd",
+            "metric": "time",
+            "unit": "s",
+            "values": [2.0, 4.0],
+            "mean": 3.0,
+            "std": 2.0**0.5,
+            "thesis": 3.5,
+        }
     ]
     assert [path.name for path in file.parent.iterdir()] == ["corridor.json"]
 
@@ -34,10 +42,10 @@ def test_the_page_sets_each_row_beside_the_thesis(tmp_path: Path) -> None:
     (tmp_path / "bench.json").write_text(json.dumps([row]))
     page = results_page(tmp_path)
     assert "## Corridor" in page
-    assert "2 rows, 2 seeds, mean and standard deviation over them; in brackets the thesis's; " in page
+    assert "2 rows, 2 seeds, mean and sample standard deviation over them; in brackets the thesis's; " in page
     assert "[data](results/corridor.json)" in page
     assert "| method | time [s] | goal reached |" in page
-    assert "| edmd | 3 ± 1 (3.5) | 1 ± 0 |" in page
+    assert "| edmd | 3 ± 1.4 (3.5) | 1 ± 0 |" in page
     assert "| look-up | 0.286 us | scipy, 42 us | 148 |" in page
     assert read_benchmarks(tmp_path / "missing.json") == []
 
@@ -110,7 +118,7 @@ def test_each_row_keeps_the_command_and_commit_that_measured_it(
     page = results_page(file.parent)
     assert f"    train second\n\nCommit {commit}: cart.\n" in page
     assert f"    train third\n\nCommit {commit}: pole.\n" in page
-    assert "2 rows, 2 seeds, mean and standard deviation over them;" in page
+    assert "2 rows, 2 seeds, mean and sample standard deviation over them;" in page
 
 
 def test_a_command_is_kept_without_the_folders_of_one_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,6 +27,8 @@ from .results import add_results as add_results
 from .results import as_lines as as_lines
 from .results import read_experiment as read_experiment
 from .results import results_lock as results_lock
+from .results import sample_deviation as sample_deviation
+from .results import spread_of as spread_of
 from .results import with_others as with_others
 from .schema import Anything as Anything
 from .schema import Name as Name

@@ -50,7 +50,7 @@ class Row(_Written):
     unit: Name
     values: Annotated[list[float], Field(min_length=1, max_length=1_000_000)]
     mean: float
-    std: float
+    std: float | None
     thesis: float | None
     seeds: Annotated[list[int], Field(default_factory=list, max_length=1_000_000)]
     terms: Text = ""
@@ -169,7 +169,7 @@ def write_results(
                 "unit": row.unit,
                 "values": list(row.values),
                 "mean": float(np.mean(row.values)),
-                "std": float(np.std(row.values)),
+                "std": sample_deviation(row.values),
                 "thesis": row.thesis,
                 **({"seeds": list(row.seeds), "terms": row.terms} if row.terms else {}),
                 **({"origins": [each.model_dump() for each in row.origins]} if row.origins else {}),
@@ -246,12 +246,23 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
 
 
 def as_lines(rows: Sequence[Result]) -> str:
-    """Return each row's mean and standard deviation, one line per row."""
+    """Return each row's mean and sample standard deviation, one line per row."""
     methods, metrics = (max((len(getattr(row, name)) for row in rows), default=0) for name in ("method", "metric"))
     return "\n".join(
-        f"{row.method:<{methods}}  {row.metric:<{metrics}} {np.mean(row.values):9.3f} +- {np.std(row.values):.3f}"
+        f"{row.method:<{methods}}  {row.metric:<{metrics}} {np.mean(row.values):9.3f}{spread_of(row.values, '.3f')}"
         for row in rows
     )
+
+
+def sample_deviation(values: Sequence[float]) -> float | None:
+    """Return the sample standard deviation, with n - 1 in the denominator; None for a single value."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def spread_of(values: Sequence[float], form: str = ".2g") -> str:
+    """Return " ± " and the sample standard deviation in a number format; empty for a single value."""
+    deviation = sample_deviation(values)
+    return "" if deviation is None else f" ± {deviation:{form}}"
 
 
 def read_results(folder: Path) -> list[Experiment]:

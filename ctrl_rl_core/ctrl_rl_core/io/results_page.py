@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctrl_rl_core.io.results import Benchmark, Experiment, Origin, Row, read_benchmarks, read_experiment
+from ctrl_rl_core.io.results import Benchmark, Experiment, Origin, Row, read_benchmarks, read_experiment, spread_of
 
 _BENCHMARKS = "bench.json"
 _KINDS = (
@@ -88,9 +88,9 @@ def _notation(experiment: Experiment) -> str:
             counts[row.method] = max(counts.get(row.method, 0), len(row.values))
         most = max(counts.values(), default=0)
         up_to = "" if len(set(counts.values())) <= 1 else "up to "
-        remark += f", {up_to}{most} seeds, mean and standard deviation over them"
+        remark += f", {up_to}{most} seeds, mean and sample standard deviation over them"
     elif any(len(row.values) > 1 for row in experiment.rows):
-        remark += ", mean and standard deviation"
+        remark += ", mean and sample standard deviation"
     if any(row.thesis is not None for row in experiment.rows):
         remark += "; in brackets the thesis's"
     return remark
@@ -108,6 +108,5 @@ def _table(rows: Sequence[Row]) -> list[str]:
 
 
 def _cell(row: Row) -> str:
-    spread = f" ± {row.std:.2g}" if len(row.values) > 1 else ""
     thesis = "" if row.thesis is None else f" ({row.thesis:g})"
-    return f"{row.mean:.4g}{spread}{thesis}"
+    return f"{row.mean:.4g}{spread_of(row.values)}{thesis}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from ctrl_rl_core.io import FileError, Name, Schema, raise_as, read_json
+from ctrl_rl_core.io import FileError, Name, Schema, raise_as, read_json, spread_of
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
@@ -207,7 +207,7 @@ def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list
 
 
 def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
-    """Return rows as text: mean and standard deviation over the seeds, and the thesis's figure.
+    """Return rows as text: mean and sample standard deviation over the seeds, and the thesis's figure.
 
     Args:
         rows: Rows of the table.
@@ -223,7 +223,7 @@ def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
 
 
 def _cells(row: Result, label: str) -> tuple[str, str, str, str]:
-    ours = f"{np.mean(row.values):.4g} ± {np.std(row.values):.2g}"
+    ours = f"{np.mean(row.values):.4g}{spread_of(row.values)}"
     return label, row.metric, ours, "" if row.thesis is None else f"{row.thesis:g}"
 
 

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from ctrl_rl_core.command import FolderToWrite, NotNegative, Positive, checked_list, make_command
-from ctrl_rl_core.io import as_lines
+from ctrl_rl_core.io import as_lines, spread_of
 from tqdm import tqdm
 
 from ctrl_rl_core import NavigationTask, Result, ResultsError, load_navigation_task, write_results
@@ -132,7 +132,7 @@ def _mismatch(options: Mismatch) -> int:
                 raise OcError(f"{label}: no episode lasts {steps} steps: ask for more --roll-outs")
             thesis = THESIS_MISMATCH[task.name][index]
             rows.append(Result(label, f"error after {steps} steps", "m", known.tolist(), thesis))
-            ours = f"{known.mean():.4f} ± {known.std():.4f} m over {len(known)} roll-outs"
+            ours = f"{known.mean():.4f}{spread_of(known, '.4f')} m over {len(known)} roll-outs"
             print(f"{label:<41} after {steps:>2} steps  {ours}   thesis {thesis:.3f} m")
     return _write(options, "oc_mismatch", rows)
 
@@ -224,7 +224,7 @@ def _gradient(options: Gradient) -> int:
             thesis = THESIS_COSINE[name][index] if name in THESIS_COSINE else None
             rows.append(Result(name, f"cosine similarity, {size} samples", "1", values, thesis))
             beside = "" if thesis is None else f"   thesis {thesis:.3f}"
-            print(f"{name:<38} {size:>6} samples  {np.mean(values):.3f} ± {np.std(values):.3f}{beside}")
+            print(f"{name:<38} {size:>6} samples  {np.mean(values):.3f}{spread_of(values, '.3f')}{beside}")
     return _write(options, "oc_gradient", rows)
 
 
