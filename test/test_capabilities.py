@@ -47,7 +47,7 @@ LINES |= {
     for name in COMMANDS
     if "learn_offline" in name
 }
-STARTED = ("no_such_", "must be at least", "has other observations", "has other commands", "pretrained")
+STARTED = ("no_such_", "must be at least", "observations are not those", "commands are not those", "pretrained")
 """Errors that come after the task has been taken: of the rest of a line that gives a command nothing to do."""
 
 

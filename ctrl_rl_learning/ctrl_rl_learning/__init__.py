@@ -1,4 +1,4 @@
-"""Learning in one house: what every method that trains policies shares."""
+"""Training code that every learning method shares."""
 
 import lazy_loader as lazy
 

@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class LearningError(CtrlRlError):
-    """A run, a policy, bags or the robot do not serve what is asked; the message says why and what to do."""
+    """A run, policy, bag or robot is unsuitable for the request; the message says why and what to do."""

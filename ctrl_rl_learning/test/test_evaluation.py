@@ -45,9 +45,9 @@ def test_episodes_are_told_and_written_and_the_same_again(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changes", "words", "message"),
     [
-        ({"task": "mine"}, [], "is of task 'mine', none of the suite's: give its file with --task"),
-        ({}, ["--task", "quad_ttr"], "has other observations than task 'quad_ttr'"),
-        ({"commands": ["v"]}, [], "has other commands than task 'car_ttr'"),
+        ({"task": "mine"}, [], "belongs to task 'mine', which is not in the suite: give its file by --task"),
+        ({}, ["--task", "quad_ttr"], "its observations are not those of task 'quad_ttr'"),
+        ({"commands": ["v"]}, [], "its commands are not those of task 'car_ttr'"),
         ({}, ["--task", "nowhere"], "nowhere"),
     ],
 )

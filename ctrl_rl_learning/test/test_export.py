@@ -1,4 +1,4 @@
-"""The command `export`: a policy whose file does not say what it observes drives afterwards."""
+"""The command `export`: afterwards a node can drive by a policy whose file did not describe its observation."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ def test_a_task_of_one_s_own_is_given_by_its_file(tmp_path: Path) -> None:
     task.write_text(task_file("car_ttr").read_text().replace("name: car_ttr", "name: mine"))
     digest = {"task": "mine", "task_digest": task_digest(load_navigation_task(str(task)))}
     source, output = write(tmp_path / "policy.safetensors", digest), tmp_path / "out.safetensors"
-    with pytest.raises(PolicyError, match="does not say what it observes: write it anew with `export --task FILE`"):
+    with pytest.raises(PolicyError, match="does not describe its observation: write it again with `export"):
         load_policy(source)
     assert export([str(source), "--task", str(task), "--output", str(output)]) == 0
     assert load_policy(output).robot == "differential_drive"
@@ -42,7 +42,7 @@ def test_a_task_of_one_s_own_is_given_by_its_file(tmp_path: Path) -> None:
     [
         (["--output", "{folder}/policy.safetensors"], "policy.safetensors exists: give another name, or --overwrite"),
         (["--output", "{folder}/out.onnx"], "the name must end in .safetensors"),
-        (["--output", "{folder}/out.safetensors", "--task", "quad_ttr"], "has learnt another task"),
+        (["--output", "{folder}/out.safetensors", "--task", "quad_ttr"], "was trained on another task"),
         (["--output", "{folder}/out.safetensors", "--task", "nowhere"], "no task 'nowhere'"),
     ],
 )

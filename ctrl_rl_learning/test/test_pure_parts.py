@@ -120,7 +120,7 @@ def test_a_tuner_goes_on_where_it_was_and_refuses_what_is_damaged(tmp_path: Path
     assert (made[0].act(seen[0]) != FineTuner(actor, settings, 100, 0).act(seen[0])).any()
 
     (tmp_path / "checkpoint.safetensors").write_bytes(b"nothing of the kind")
-    with pytest.raises(LearningError, match="delete it to begin anew"):
+    with pytest.raises(LearningError, match="delete it to start over"):
         Session(None, made[0], tmp_path, 0, {})
     save_arrays(tmp_path / "checkpoint.safetensors", made[0].arrays(), {"terms": {"seed": 0}, "episodes": []})
     Session(None, made[1], tmp_path, 0, {"seed": 0})

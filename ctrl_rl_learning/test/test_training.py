@@ -115,7 +115,7 @@ def test_many_runs_on_several_cores_and_never_twice(tmp_path):
 def test_a_finished_run_is_not_made_longer_and_says_what_to_do_instead(tmp_path):
     runs = [PlainRun("ppo", seed) for seed in (1, 0)]
     train(runs[1], RunOptions(tmp_path, 1, ROLL_OUT, 1, 1))
-    what_to_do = r"result\.json: is finished with 1 iterations .* ask for 1 again, or .* delete .*ppo-0 to learn 2 from"
+    what_to_do = r"result\.json: finished with 1 iterations .* ask for 1 again, or .* delete .*ppo-0 to train 2 from"
     with pytest.raises(LearningError, match=what_to_do):
         run_experiments(runs, RunOptions(tmp_path, 2, ROLL_OUT, 1, 1))
     assert not (tmp_path / "ppo-1").exists(), "it is said before anything is learnt"
@@ -124,7 +124,7 @@ def test_a_finished_run_is_not_made_longer_and_says_what_to_do_instead(tmp_path)
 def test_a_run_that_was_cut_off_may_go_on_to_more_iterations_but_not_to_fewer(tmp_path, cut_off):
     run = PlainRun("ppo", 0)
     cut_off(train, run, RunOptions(tmp_path, 2, ROLL_OUT, 0, 0))
-    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: has 1 iterations already: ask for no fewer"):
+    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: already has 1 iterations: ask for no fewer"):
         train(run, RunOptions(tmp_path, 0, ROLL_OUT, 0, 0))
     told = []
     result = train(run, RunOptions(tmp_path, 3, ROLL_OUT, 0, 0), lambda _, done, __: told.append(done))
@@ -137,7 +137,7 @@ def test_a_broken_checkpoint_is_named(tmp_path):
     checkpoint = tmp_path / run.name / "checkpoint.safetensors"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
-    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
+    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: .*: cannot resume from it: delete it"):
         train(run, RunOptions(tmp_path, **SHORT))
 
 

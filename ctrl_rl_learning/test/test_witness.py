@@ -272,12 +272,12 @@ def test_commands_go_by_the_map_from_the_bag(tmp_path: Path, capsys) -> None:
         assert evaluate_offline([*named, *judged]) == 1  # hardly taught, and not called better
         said = capsys.readouterr()
         assert "verdict" in said.out
-        assert "has learnt another version" not in said.err
+        assert "was trained on another version" not in said.err
     # A map of other walls is not overwritten, and rewards of the file's walls do not count among the map's.
     drive(room(tmp_path / "other", BOXES[1:]), ScriptedDriver(world), 4, 0, tmp_path / "bag2")
     others = [str(tmp_path / "bag2"), *common[1:], "--map-from-bag"]
     assert learn_offline([*others, *quick[:1], str(tmp_path / "out" / "next.safetensors")]) == 1
-    assert "exists, with other walls" in capsys.readouterr().err
+    assert "exists with different walls" in capsys.readouterr().err
     assert learn_offline([*common, *quick, "--map-from-bag", "--method", "iql", "--overwrite"]) == 1
     assert "relabel the bags for the map's task room_map" in capsys.readouterr().err
 

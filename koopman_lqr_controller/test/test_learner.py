@@ -281,7 +281,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
     checkpoint = result_file(tmp_path, RUN).with_name("checkpoint.safetensors")
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"half a file")
-    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: .*: cannot go on from it, delete it"):
+    with pytest.raises(LearningError, match=r"checkpoint\.safetensors: .*: cannot resume from it: delete it"):
         train(RUN, options(tmp_path))
 
 

@@ -83,12 +83,12 @@ def test_pictures_show_the_world_of_the_task_that_was_learnt(tmp_path, capsys):
     assert (tmp_path / "my_trap_oc_paths.png").is_file()
     assert not capsys.readouterr().err
     assert plot([str(results), *where]) == 1
-    assert "is of task 'my_trap', none of the suite's: give its file with --task" in capsys.readouterr().err
+    assert "belongs to task 'my_trap', which is not in the suite: give its file by --task" in capsys.readouterr().err
     assert plot([str(results), "--task", "quad_trap", *where]) == 1
-    assert "is of task 'my_trap', not of 'quad_trap'" in capsys.readouterr().err
+    assert "belongs to task 'my_trap', not 'quad_trap'" in capsys.readouterr().err
     results.write_text(json.dumps({"figures": {**terms, "task": "quad_trap", **figures}}), encoding="utf-8")
     assert plot([str(results), *where]) == 0
-    assert "is of another version of its task" in capsys.readouterr().err
+    assert "belongs to another version of its task" in capsys.readouterr().err
 
 
 def test_results_of_something_else_are_not_drawn(capsys, tmp_path):

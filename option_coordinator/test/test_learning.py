@@ -259,7 +259,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path, cut_off):
     with pytest.raises(CtrlRlError, match="evaluations 1, now it is 2"):
         train(run, RunOptions(tmp_path, **(SHORT | {"final_evaluations": 2})))
     (tmp_path / run.name / "checkpoint.safetensors").write_bytes(b"nonsense")
-    with pytest.raises(CtrlRlError, match="cannot go on from it"):
+    with pytest.raises(CtrlRlError, match="cannot resume from it"):
         train(run, RunOptions(tmp_path, **SHORT))
 
 
@@ -273,7 +273,7 @@ def test_many_runs_one_after_the_other(tmp_path):
     assert [result["run"]["method"] for result in results] == ["async", "sync_cut"]
     assert run_experiments(runs, options) == results
     result_file(tmp_path, runs[0]).write_text("{", encoding="utf-8")
-    with pytest.raises(CtrlRlError, match=r"async-s0/result\.json: .*: is not what a finished run leaves"):
+    with pytest.raises(CtrlRlError, match=r"async-s0/result\.json: .*: is not the result of a finished run"):
         run_experiments(runs, options)
 
 

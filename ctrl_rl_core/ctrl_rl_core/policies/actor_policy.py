@@ -53,7 +53,7 @@ def _known_interface(actor: Actor) -> PolicyManifest:
         task = load_navigation_task(name)
         if task_digest(task) == actor.manifest.get("task_digest"):
             return interface_of(task)
-    raise PolicyError("does not say what it observes: write it anew with `export --task FILE` of its package")
+    raise PolicyError("does not describe its observation: write it again with `export --task FILE` of its package")
 
 
 KIND = PolicyKind(load_actor_policy, shipped_actors)

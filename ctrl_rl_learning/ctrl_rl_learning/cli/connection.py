@@ -1,4 +1,4 @@
-"""The way from a command to a robot: reward, node and environment."""
+"""Connect a command to a robot: reward, node and environment."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ttr_reward_node import TimeToReach, load_value
 
 @dataclass(frozen=True)
 class Connection:
-    """How a robot is driven.
+    """How a command reaches and resets a robot.
 
     Attributes:
-        simulator: Whether a simulator brings the robot to its start, and not an operator.
-        stepped: Whether the simulator's time stands still while nothing drives.
+        simulator: Whether a simulator, rather than an operator, resets the robot.
+        stepped: Whether the simulator pauses while nothing drives.
         values: Folder of times to reach.
     """
 
@@ -40,13 +40,13 @@ class Connection:
 def connect(
     how: Connection, task: NavigationTask, interface: PolicyManifest, arguments: list[str]
 ) -> Iterator[RobotEnv]:
-    """Give the environment of the robot on the topics; it stands afterwards, however that ends.
+    """Yield the environment of the robot on the ROS topics; stop the robot on exit, even after an error.
 
     Args:
-        how: Way that it is driven.
-        task: Task that it drives.
-        interface: Interface of its policy.
-        arguments: Words of the command line, with those for ROS.
+        how: How to reach and reset the robot.
+        task: Task to drive.
+        interface: Interface of the policy.
+        arguments: Command-line arguments, ROS arguments included.
 
     Raises:
         CtrlRlError: A ROS argument or parameter is wrong, or the simulator does not answer.

@@ -1,4 +1,4 @@
-"""What commands say and do where bags contradict the file of their task, before anything is learnt or judged."""
+"""Check bags against their task file before a command learns or evaluates, and report the differences."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _Options = TypeVar("_Options")
 
 
 class ContradictedError(LearningError):
-    """Bags show that nothing may be learnt by value or judged by roll-outs in their task."""
+    """Bags contradict their task's walls, so neither value functions nor roll-outs are valid."""
 
 
 def refusing(command: str, work: Callable[[_Options], int]) -> Callable[[_Options], int]:
-    """Return a command's work with exit code 2 and one line where bags contradict their task."""
+    """Wrap a command so that it prints one line and exits with code 2 if the bags contradict their task."""
 
     def guarded(options: _Options) -> int:
         try:
@@ -37,17 +37,17 @@ def refusing(command: str, work: Callable[[_Options], int]) -> Callable[[_Option
 def check_differences(
     command: str, record: DriveRecord, task: NavigationTask, picture: Path, *, believes_walls: bool
 ) -> None:
-    """Print each difference between bags and their task's file on stderr, with a picture where they are grave.
+    """Print each difference between bags and task file on stderr, and draw a picture if any is serious.
 
     Args:
         command: Name of the command.
-        record: What the drives saw and did.
+        record: Recorded drives.
         task: Task of the bags.
-        picture: File of the picture.
-        believes_walls: Whether the command goes by the task's walls, as value functions and roll-outs do.
+        picture: File to draw the picture to.
+        believes_walls: Whether the command relies on the task's walls, as value functions and roll-outs do.
 
     Raises:
-        ContradictedError: It does, and they are others.
+        ContradictedError: The command relies on the task's walls, and the bags show different ones.
     """
     account = examine(record, task)
     for line in account.lines:
@@ -63,18 +63,18 @@ def check_differences(
 def take_map(
     command: str, record: DriveRecord, source: str, about: str, folder: Path | None, *, overwrite: bool = False
 ) -> NavigationTask:
-    """Return a task with the walls that bags show in place of its own.
+    """Return the task with its walls replaced by those that the scans in the bags show.
 
     Args:
         command: Name of the command.
-        record: What the drives saw.
-        source: Name or file of the task that was driven.
+        record: Recorded drives.
+        source: Name or file of the recorded task.
         about: Names of the bags.
-        folder: Folder of the task's file and its map; None to keep neither.
-        overwrite: Whether to replace those of other walls.
+        folder: Folder to write task file and map to; None to write neither.
+        overwrite: Whether to replace a map with different walls.
 
     Raises:
-        LearningError: The task has no walls that a map could replace, or the folder holds a map of other walls.
+        LearningError: The task has no walls that a map could replace, or the folder holds a map with different walls.
     """
     task = load_navigation_task(source)
     mapped = map_from_record(record, task)
@@ -83,9 +83,11 @@ def take_map(
     if folder is not None:
         file = folder / f"{found.name}.yaml"
         if file.exists() and not overwrite and task_digest(load_navigation_task(file)) != task_digest(found):
-            raise LearningError(f"{file} exists, with other walls: name another folder, or --overwrite to replace it")
+            raise LearningError(
+                f"{file} exists with different walls: name another folder, or replace it by --overwrite"
+            )
         found = load_navigation_task(task_with_map(mapped, task, source, folder, about))
-        print(f"map        {file}: the walls by the bags; for other commands --task {file} --other-task")
+        print(f"map        {file}: walls from the bags; pass --task {file} --other-task to other commands")
     account = examine(record, found)
     print(f"           {account.differing:.1%} of the beams differ from it")
     for place in account.moved_walls:

@@ -1,4 +1,4 @@
-"""The command `evaluate`: fresh episodes of a learnt policy, and how sure its success and return are."""
+"""The command `evaluate`: success and return of a learnt policy in new episodes, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
-    """Play fresh episodes with a learnt policy, and tell success and return with their 95 % intervals."""
+    """Run new episodes with a learnt policy, and report success and return with their 95 % intervals."""
 
     policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Policy file that `train` wrote."""
     task: str | None = None
-    """Task of the suite, or a task file (default: the task that the policy has learnt)."""
+    """Task of the suite, or a task file (default: the task that the policy was trained on)."""
     episodes: Positive = 100
     """Number of episodes."""
     seed: NotNegative = 0
-    """Seed of the first episode; the others follow."""
+    """Seed of the first episode; later episodes count up from it."""
     results: OptionalFileToWrite = None
-    """JSON file to write success and return of each episode to."""
+    """JSON file to write the success and return of each episode to."""
 
 
 def success_interval(succeeded: Sequence[bool]) -> tuple[float, float]:
-    """Return between which rates the success lies with 95 % confidence (Wilson's interval)."""
+    """Return the 95 % confidence interval of the success rate (Wilson)."""
     from scipy.stats import binomtest
 
     found = binomtest(sum(succeeded), len(succeeded)).proportion_ci(_CONFIDENCE, method="wilson")
@@ -45,7 +45,7 @@ def success_interval(succeeded: Sequence[bool]) -> tuple[float, float]:
 
 
 def mean_interval(totals: Sequence[float]) -> tuple[float, float]:
-    """Return between which numbers the mean lies with 95 % confidence (Student's t); NaN of a single episode."""
+    """Return the 95 % confidence interval of the mean (Student's t); NaN for a single episode."""
     from scipy.stats import t
 
     if len(totals) < 2:
@@ -55,7 +55,7 @@ def mean_interval(totals: Sequence[float]) -> tuple[float, float]:
 
 
 def report(options: EvaluateOptions, task: str, succeeded: Sequence[bool] | None, totals: Sequence[float]) -> int:
-    """Print how episodes went, write them if asked to, and return the exit code.
+    """Print the results of the episodes, write them if requested, and return the exit code.
 
     Args:
         options: Options of the command.
@@ -90,9 +90,9 @@ def _evaluate_actor(options: EvaluateOptions) -> int:
         ("commands", actor.manifest.get("commands"), actor.low, list(task.robot.commands)),
     ):
         if ours != theirs or len(sizes) != len(theirs):
-            raise LearningError(f"{options.policy}: has other {what} than task '{task.name}': give one that fits")
+            raise LearningError(f"{options.policy}: its {what} are not those of task '{task.name}': give one that fits")
     if actor.manifest.get("task_digest") != task_digest(task):
-        print(f"evaluate: {options.policy}: has learnt another task, or another version of it", file=sys.stderr)
+        print(f"evaluate: {options.policy}: was trained on another task or another version of it", file=sys.stderr)
     environment: Any = make_environment(task, DEPLOYED_RATE)
     try:
         episodes = evaluate(actor, environment, options.episodes, options.seed)

@@ -1,4 +1,4 @@
-"""The command `evaluate_offline`: what bags of other drivers say about a policy before it drives."""
+"""The command `evaluate_offline`: predict from other drivers' bags how well a policy will do before it drives."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ctrl_rl_learning.errors import LearningError
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(TaskOptions):
-    """Predict from bags what a policy would earn, with 95 % intervals: better, not shown or worse, and what to record.
+    """Predict a policy's return from bags with 95 % intervals, and say whether it beats their driver.
 
-    Exits with 1 where the bags do not show that the policy is better than their driver, and with 2 where they show
-    other walls than the task's file.
+    The verdict is better, not shown or worse, with advice on what to record next. Exits with 1 if the bags do not show
+    that the policy is better than their driver, and with 2 if they show different walls from the task file.
     """
 
     policy: Path
@@ -28,7 +28,7 @@ class EvaluateOptions(TaskOptions):
     updates: Positive = 3000
     """Number of updates of each fit."""
     fits: Positive = 3
-    """Number of fits, whose spread is part of the intervals."""
+    """Number of fits; the intervals include their spread."""
     results: OptionalFileToWrite = None
     """JSON file to write the estimates to."""
 
@@ -37,7 +37,7 @@ def _evaluate(options: EvaluateOptions) -> int:
     task = load_navigation_task(options.task)
     actor = Actor.load(options.policy)
     if actor.manifest.get("task") not in (task.name, f"{task.name}_map" if options.map_from_bag else task.name):
-        raise LearningError(f"{options.policy}: has learnt the task '{actor.manifest.get('task')}', not '{task.name}'")
+        raise LearningError(f"{options.policy}: was trained on task '{actor.manifest.get('task')}', not '{task.name}'")
     from ctrl_rl_learning.offline.data.values import load_values
     from ctrl_rl_learning.offline.evaluation.roll_outs import can_model
 
@@ -45,7 +45,7 @@ def _evaluate(options: EvaluateOptions) -> int:
     reading = Reading(picture, None, options.value is not None or can_model(task))
     task, transitions = read_bags("evaluate_offline", task, options, reading)
     if actor.manifest.get("task_digest") != task_digest(task):
-        print(f"evaluate_offline: {options.policy}: has learnt another version of the task", file=sys.stderr)
+        print(f"evaluate_offline: {options.policy}: was trained on another version of the task", file=sys.stderr)
     values = None if options.value is None else load_values(options.value, task, options.values)
     report = judge(transitions, task, actor, values, updates=options.updates, fits=options.fits, seed=options.seed)
     print("\n".join(estimate_lines(report)))

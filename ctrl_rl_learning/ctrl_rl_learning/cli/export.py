@@ -1,4 +1,4 @@
-"""The command `export`: the policy of a learning run as a file that says what it observes, for the node `policy`."""
+"""The command `export`: write a run's policy, with a description of its observation, for the node `policy`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ctrl_rl_learning.study.command import find_learnt_task, make_command
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Write the policy of a run for `ros2 run ctrl_rl_core policy`, with its interface, its task and its success."""
+    """Write a run's policy for `ros2 run ctrl_rl_core policy`, with its interface, task and success rate."""
 
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """Folder of a run that `train` finished, or a policy file."""
+    """Folder of a finished `train` run, or a policy file."""
     output: FileToWrite
     """File to write (.safetensors)."""
     task: str | None = None
-    """Task of the suite, or a task file (default: the task that the policy has learnt)."""
+    """Task of the suite, or a task file (default: the task that the policy was trained on)."""
     overwrite: bool = False
     """Replace the file if it exists."""
 
@@ -38,7 +38,7 @@ def _export(options: ExportOptions) -> int:
     actor = Actor.load(source)
     task = find_learnt_task(source, str(actor.manifest.get("task")), options.task, LearningError)
     if actor.manifest.get("task_digest", task_digest(task)) != task_digest(task):
-        raise LearningError(f"{source}: has learnt another task, or another version of it: give its file with --task")
+        raise LearningError(f"{source}: was trained on another task or another version of it: give its file by --task")
     manifest = {**actor.manifest, "task": task.name, "task_digest": task_digest(task)}
     if "metrics" not in manifest and options.run.is_dir():
         manifest["metrics"] = _metrics(options.run / "result.json")
@@ -54,7 +54,7 @@ def _export(options: ExportOptions) -> int:
 
 
 def _metrics(result: Path) -> dict[str, float]:
-    """Return the success of a run; nothing where it was not evaluated."""
+    """Return the success rate of a run, or an empty dictionary if the run was not evaluated."""
     with raise_as(LearningError, result, "let `train` finish the run"):
         content = read_json(result)
     success = content.get("success") if isinstance(content, dict) else None

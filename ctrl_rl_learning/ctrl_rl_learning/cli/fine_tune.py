@@ -1,4 +1,4 @@
-"""The command `fine_tune`: a policy learns on its robot."""
+"""The command `fine_tune`: train a policy further on its robot."""
 
 from __future__ import annotations
 
@@ -29,43 +29,44 @@ if TYPE_CHECKING:
     from ctrl_rl_learning.on_robot.learning.session import EpisodeLog
 
 _STARTS = ("operator", "simulator")
-_EPILOG = """Nothing is driven without the safety filter, which must run beside this command:
-ros2 run ctrl_rl_safety safety_filter. Parameters of the node (pose, operator_timeout, joy_button and so on) and
-remappings come after --ros-args. Ctrl-C lets the robot stand; the same command goes on after the last whole episode."""
+_EPILOG = """The robot drives only while the safety filter runs beside this command:
+ros2 run ctrl_rl_safety safety_filter. Give node parameters (pose, operator_timeout, joy_button and so on) and
+remappings after --ros-args. Ctrl-C stops the robot; the same command resumes after the last complete episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FineTune:
-    """Let a policy learn on its robot: it drives behind the safety filter, and learns between episodes.
+    """Fine-tune a policy on its robot: it drives behind the safety filter and learns between episodes.
 
-    An operator may take over at any time by joystick (joy) or keyboard (cmd_vel_operator); what he did is learnt from.
+    An operator may take over at any time by joystick (joy) or keyboard (cmd_vel_operator); the policy learns from the
+    operator's commands, too.
     """
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Policy to begin with: a name of those that come with the packages, or a file of any kind; what is no network of
-    `train` or `learn_offline`, such as a Koopman policy, is first cloned into one in the task's simulator."""
+    """Initial policy: the name of a shipped policy, or a policy file. A policy that `train` or `learn_offline` did not
+    write, such as a Koopman policy, is first cloned into a network in the task's simulator."""
     task: str
-    """Task name or .yaml file: goal, arena and length of an episode."""
+    """Task name or .yaml file, which gives goal, arena and episode length."""
     minutes: FiniteNumber = 30.0
-    """Time that the robot drives in all [min]; resets and learning between episodes do not count."""
+    """Total driving time [min], without resets and learning between episodes."""
     tests: NotNegative = 0
-    """Episodes of the finished policy without exploration, whose success is counted."""
+    """Number of test episodes of the finished policy, without exploration."""
     starts: Annotated[str, one_of(_STARTS)] = "operator"
-    """Who brings the robot to its start: an operator, or the simulator that runs in its place."""
+    """Who resets the robot to its start: an operator, or the simulator that stands in for the robot."""
     stepped: bool = False
-    """Step the simulator, so that its time stands still while nothing drives."""
+    """Step the simulator, which pauses it while nothing drives."""
     motion: bool = False
-    """Let the policy observe speed, turn rate and its last command, too: for a robot that is late or sluggish."""
+    """Add speed, turn rate and the last command to the observation, for a robot that is delayed or sluggish."""
     seed: NotNegative = 0
     """Seed of starts, exploration and learning."""
     updates: NotNegative = 5
-    """Updates of the networks for each step of the robot."""
+    """Network updates per robot step."""
     noise: FiniteNumber = 0.25
-    """Standard deviation of the exploration, as a part of half the range of the commands."""
+    """Standard deviation of the exploration noise, as a fraction of half the command range."""
     threads: Positive = 1
     """Threads of the learner."""
     values: FolderToWrite = Path("runs/values")
-    """Folder of times to reach, solved where they are not there yet."""
+    """Folder of times to reach; missing ones are solved."""
     folder: FolderToWrite = Path("runs/fine_tune")
     """Folder of checkpoint, policy.safetensors and result.json."""
 
@@ -83,8 +84,8 @@ def _work(options: FineTune, words: list[str]) -> int:
     if options.minutes < 0.0 or not 0.0 <= options.noise <= 2.0:
         raise LearningError("--minutes must not be negative, and --noise must be 0 to 2")
     if options.stepped and options.starts != "simulator":
-        raise LearningError("--stepped needs --starts simulator: nobody steps a robot's time")
-    # Torch takes seconds to import: not before the arguments are right.
+        raise LearningError("--stepped needs --starts simulator: a real robot cannot be paused")
+    # Torch takes seconds to import: wait until the arguments are valid.
     import torch
     from tqdm import tqdm
 
@@ -133,7 +134,7 @@ def _work(options: FineTune, words: list[str]) -> int:
 
 
 def _line(log: EpisodeLog) -> str:
-    said = f"{log.outcome.lower()} after {log.seconds:.1f} s, the filter changed {log.changed:.0%}"
+    said = f"{log.outcome.lower()} after {log.seconds:.1f} s, filter changed {log.changed:.0%} of the commands"
     for count, words in (
         (log.missed, "steps missed"),
         (log.late_scans, "late scans"),

@@ -1,4 +1,4 @@
-"""The command `learn_offline`: a policy from relabelled bags alone."""
+"""The command `learn_offline`: learn a policy from relabelled bags alone."""
 
 from __future__ import annotations
 
@@ -24,15 +24,14 @@ from ctrl_rl_learning.study.curves import Curves
 class LearnOptions(TeachOptions):
     """Learn a policy from bags alone, for `ros2 run ctrl_rl_core policy`.
 
-    td3bc, iql and cql learn from the rewards that `ros2 run ttr_reward_node relabel` wrote into the bags, and from what
-    the task pays at the end of an episode. value_weight, value_model and value_critic need no rewards but a value
-    function.
+    td3bc, iql and cql learn from the rewards that `ros2 run ttr_reward_node relabel` wrote into the bags and from the
+    task's terminal rewards. value_weight, value_model and value_critic need a value function instead of rewards.
     """
 
     output: FileToWrite
     """File to write (.safetensors)."""
     curves: OptionalFolderToWrite = None
-    """Folder for the curves of the losses, as CSV and for TensorBoard (default: none are written)."""
+    """Folder to write the loss curves to, as CSV and for TensorBoard (default: no curves)."""
     overwrite: bool = False
     """Replace the file if it exists."""
 
@@ -50,8 +49,8 @@ def _learn(options: LearnOptions) -> int:
     task, transitions = read_bags("learn_offline", task, options, reading)
     if options.map_from_bag and options.method in NEEDS_REWARD:
         raise LearningError(
-            f"the bags' rewards are those of the file's walls: relabel the bags for the map's task {task.name}, and "
-            f"learn by --task {options.output.parent / task.name}.yaml --other-task"
+            f"the rewards in the bags belong to the task file's walls: relabel the bags for the map's task {task.name} "
+            f"and learn with --task {options.output.parent / task.name}.yaml --other-task"
         )
     with ExitStack() as opened:
         curves = None if options.curves is None else opened.enter_context(Curves(options.curves))

@@ -1,4 +1,4 @@
-"""The command `teach`: a lidar policy for corridors, taught by the time to reach on the true map of each episode."""
+"""The command `teach`: train a lidar policy for corridors from an expert that drives by the time to reach."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ _FINAL_EVALUATIONS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class Teach(ExperimentOptions):
-    """Teach policies to drive a corridor by lidar alone, and go on where an earlier call was cut off.
+    """Train policies to drive a corridor by lidar alone, resuming an interrupted call.
 
-    The expert knows walls and partitions and drives by the time to reach. The student sees a scan and its speeds; it
-    drives, and learns at each scan what the expert would do there. Each episode has another corridor, and another
-    robot where the task gives ranges. It is learnt in the planar engine: `ros2 run ctrl_rl_bringup transfer` drives the
+    The expert knows walls and partitions and drives by the time to reach. The student observes a scan and its speeds;
+    it drives, and at each scan learns the command that the expert would give. Each episode draws a new corridor, and a
+    new robot if the task gives ranges. Training uses the planar engine; `ros2 run ctrl_rl_bringup transfer` tests the
     policies in PyBullet and MuJoCo.
     """
 
     task: str = "corridor_doorways"
     """Task with a corridor: one of the suite, or a task file."""
     folder: FolderToWrite = Path("runs/teach")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has its own subfolder and resumes there."""
     seeds: Positive = 3
-    """Number of seeds, counted from 0."""
+    """Number of seeds, starting from 0."""
     samples: Positive = 8 * _ITERATION
-    """Scans that a run learns from, at least; whole iterations of 4000 are driven."""
+    """Minimum number of scans that a run learns from, rounded up to iterations of 4000."""
     results: OptionalFileToWrite = None
-    """JSON file to write table and curves to."""
+    """JSON file to write the table and curves to."""
 
 
 def _teach(options: Teach) -> int:
     task = load_navigation_task(options.task)
     require("ctrl_rl_learning teach", task)
-    # Torch takes seconds to import: not before the arguments are right.
+    # Torch takes seconds to import: wait until the arguments are valid.
     from ctrl_rl_learning.dagger.run import TaughtRun, collect
 
     runs = [TaughtRun(options.task, seed) for seed in range(options.seeds)]

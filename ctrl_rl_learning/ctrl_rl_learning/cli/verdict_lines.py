@@ -1,4 +1,4 @@
-"""A report on a policy in lines: its estimates, what they rest on, the verdict, and what to record next."""
+"""Format a policy's report as text: estimates, their support, the verdict, and what to record next."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _WORDS = {
 
 
 def estimates_of(report: OfflineReport) -> dict[str, Estimate]:
-    """Return the estimates that there are, by their names in the table."""
+    """Return the available estimates by their names in the table."""
     estimates = {
         "driver of the bags": report.driver,
         "fitted Q evaluation": report.fitted_q,
@@ -36,10 +36,10 @@ def estimates_of(report: OfflineReport) -> dict[str, Estimate]:
 
 
 def estimate_lines(report: OfflineReport) -> list[str]:
-    """Return lines on the estimates and on what they rest on."""
+    """Return lines about the estimates and the data that support them."""
     lines = [f"{'discounted return':<22} mean       95 % interval"]
     lines += [f"{name:<22} {estimate}" for name, estimate in estimates_of(report).items()]
-    seen = "does not say" if report.held_out is None else f"{report.held_out} of {report.episodes}"
+    seen = "unknown" if report.held_out is None else f"{report.held_out} of {report.episodes}"
     lines.append(f"held out   episodes that the policy was not fitted to: {seen}")
     all_of = f"of {report.episodes} episodes"
     lines.append(
@@ -61,7 +61,7 @@ def estimate_lines(report: OfflineReport) -> list[str]:
 
 
 def verdict_lines(report: OfflineReport) -> list[str]:
-    """Return the verdict, and what to record next."""
+    """Return lines with the verdict and what to record next."""
     success = f"success {report.success.mean:.0%} beside {report.driver_success:.0%}"
     wanted = dict.fromkeys(objection.record for objection in report.objections)
     return [f"verdict    {_WORDS[report.verdict]}, {success}", *(f"record     {drives}" for drives in wanted)]

@@ -1,4 +1,4 @@
-"""Episodes of student or expert in the simulator, in which the expert says at each scan what to do."""
+"""Simulated episodes that student or expert drives, with the expert's command as the label of each scan."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Student = Callable[[Observation], Array]
 _BEARINGS = 180
 _FARTHEST = 2.0
 _RATE = 60
-"""Physics steps per second [Hz]; the planar engine needs no more."""
+"""Physics rate [Hz]; enough for the planar engine."""
 _STANDS = 10.0
-"""Time without motion after which a drive is over [s]."""
+"""Time without motion that ends a drive [s]."""
 _REACTION = 0.3
-"""Time from a scan to the effect of its command [s], as of nodes."""
+"""Time from a scan to the effect of its command [s], the same as for nodes."""
 
 
 def corridor_interface(task: NavigationTask) -> PolicyManifest:
-    """Return the interface of a student: ranges all around and the robot's speeds, at each scan of any lidar."""
+    """Return the student's interface: ranges all around and the robot's speeds, once per scan, for any lidar."""
     limits, step = limits_between_posts(wheeled(task)), 2.0 * math.pi / _BEARINGS
     scan = {"source": "scan", "count": _BEARINGS, "step": step, "half_width": 0.5 * step}
     speeds = {"source": "odometry", "names": ["v", "omega"], "low": [-1.0, -6.0], "high": [1.0, 6.0]}
@@ -56,7 +56,7 @@ def corridor_interface(task: NavigationTask) -> PolicyManifest:
 
 
 class LabelledSample(NamedTuple):
-    """One scan of an episode.
+    """One scan of an episode with its label.
 
     Attributes:
         observation: Observation of the student (n,).
@@ -68,11 +68,11 @@ class LabelledSample(NamedTuple):
 
 
 class DaggerEpisode(NamedTuple):
-    """One episode of student or expert.
+    """One episode that student or expert drove.
 
     Attributes:
-        samples: Its scans, with what the expert would do at each.
-        outcome: Name of its outcome; RUNNING where the robot stood too long.
+        samples: Scans of the episode, each with the expert's command.
+        outcome: Name of the outcome; RUNNING if the robot stood still too long.
     """
 
     samples: list[LabelledSample]
@@ -80,7 +80,7 @@ class DaggerEpisode(NamedTuple):
 
 
 class _Labeller:
-    """Drives by the student, or by the expert where there is none, and asks the expert at each scan."""
+    """Driver that follows the student, or the expert if there is none, and labels each scan by the expert."""
 
     def __init__(
         self, task: NavigationTask, interface: PolicyManifest, world: SimulatedWorld, student: Student | None
@@ -99,7 +99,7 @@ class _Labeller:
 def drive_labelled(
     task: NavigationTask, interface: PolicyManifest, seed: int, student: Student | None = None
 ) -> DaggerEpisode:
-    """Drive one episode in the planar engine, with the conditions that the task draws, until the robot stands too long.
+    """Drive one episode in the planar engine under the task's random conditions.
 
     Args:
         task: Task of a robot on wheels.

@@ -1,4 +1,4 @@
-"""The expert of a corridor: the optimal control of the time to reach, on the true map of an episode."""
+"""The expert for a corridor: optimal control by the time to reach on the true map of an episode."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ _RESOLUTION = 0.02
 _MARGIN = 0.2
 _ARRIVED = 0.1
 _ANY_SPEED, _ANY_TURN = 2.0, 20.0
-"""Accelerations with which a small robot reaches any speed within a command [m/s^2], [rad/s^2]."""
+"""Accelerations that let a small robot reach any speed within one command period [m/s^2], [rad/s^2]."""
 _CREEP, _ALIGNED = 0.06, 0.3
-"""Speed where there is little room [m/s], and the error of the heading up to which it is driven [rad]."""
+"""Speed in tight places [m/s], and the largest heading error at which the robot drives at that speed [rad]."""
 _SPACING = 0.02
-"""Distance between the places of the corridor's middle line that cells are measured from [m]."""
+"""Spacing of the points on the corridor's centre line [m]."""
 
 
 def wheeled(task: NavigationTask) -> Robot:
     """Return the robot of a task.
 
     Raises:
-        LearningError: It has none on wheels.
+        LearningError: The task has no wheeled robot.
     """
     robot = task.robot.robot
     if robot is None or robot.kind != "differential_drive":
-        raise LearningError(f"task '{task.name}' has no robot on wheels")
+        raise LearningError(f"task '{task.name}' has no wheeled robot")
     return robot
 
 
 def limits_between_posts(robot: Robot) -> DriveLimits:
-    """Return the limits of a robot between posts; a command lasts so long that it reaches any speed meanwhile."""
+    """Return a robot's limits between posts; any speed is reachable within one command period."""
     limits = limits_of(robot, _MARGIN_TO_POSTS)
     return replace(limits, turn_acceleration=_ANY_TURN, acceleration=_ANY_SPEED, radius=robot.through_gaps)
 
 
 class Expert:
-    """Drives one episode; it knows the corridor's walls and partitions, and the robot's true pose."""
+    """Expert driver for one episode, which knows the corridor's walls and partitions and the robot's true pose."""
 
     def __init__(self, task: NavigationTask, world: World) -> None:
         """Solve the time to reach the end of the corridor.
@@ -80,7 +80,7 @@ class Expert:
         return choice.command if choice.cost < math.inf else self._creep(pose)
 
     def _creep(self, pose: Array) -> Array:
-        """Return a turn into the descent of the value where no way ahead has all the room that is wanted, and creep."""
+        """Return a slow command that turns towards lower time to reach, for when no command keeps the clearance."""
         _, slope = self._value.value_and_gradient(pose[:2])
         error = math.remainder(math.atan2(-slope[1], -slope[0]) - float(pose[2]), 2.0 * math.pi)
         speed = _CREEP if abs(error) < _ALIGNED else 0.0
@@ -88,7 +88,7 @@ class Expert:
 
 
 def _map_of(world: World, path: ArcPath, width: float) -> OccupancyMap:
-    """Return the map of a corridor; all that lies beside it is occupied, so that no way leads around it."""
+    """Return the map of a corridor; everything outside it is occupied, so that no path leads around it."""
     line = path.pose(np.arange(0.0, path.length + _SPACING, _SPACING))[:, :2]
     low, high = line.min(axis=0) - width - _MARGIN, line.max(axis=0) + width + _MARGIN
     columns, rows = np.ceil((high - low) / _RESOLUTION).astype(int)

@@ -1,4 +1,4 @@
-"""A run in which a student drives, an expert says at each scan what to do, and the student learns all of it; its table.
+"""DAgger runs: the student drives, the expert labels each scan, and the student learns from all labels.
 
 Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning"
 (AISTATS 2011).
@@ -26,13 +26,13 @@ from ctrl_rl_learning.torch.checkpoints import load_arrays, restore_state, save_
 _UPDATES = 1500
 _LAST_UPDATES = 10_000
 _SEEDS = 1_000_000
-"""Distance between the seeds of two runs; episodes of a test begin at 0."""
+"""Offset between the seeds of two runs; test episodes start at seed 0."""
 _EXPERT_SHARE = 0.2
-"""Share of the episodes after the first iteration in which the expert drives."""
+"""Share of episodes that the expert drives after the first iteration."""
 
 
 class DaggerTrainer:
-    """The learner of one run: all samples so far, and the student."""
+    """Trainer of one run, with the student and all samples so far."""
 
     def __init__(self, task: NavigationTask, seed: int, options: RunOptions) -> None:
         self._task, self._seed, self._options = task, seed, options
@@ -44,7 +44,7 @@ class DaggerTrainer:
         self._episodes = 0
 
     def iterate(self, curve: Sequence[IterationMetrics]) -> IterationMetrics:
-        """Drive episodes, the first ones by the expert alone, and learn from all so far."""
+        """Drive episodes and learn from all samples so far; the expert alone drives the first iteration."""
         random = np.random.default_rng((self._seed, len(curve)))
         samples: list[LabelledSample] = []
         ends = []
@@ -74,7 +74,7 @@ class DaggerTrainer:
         save_arrays(path, arrays, {"episodes": self._episodes, "progress": dict(progress)})
 
     def load(self, path: Path) -> dict[str, Any]:
-        """Go on from a checkpoint and return its progress."""
+        """Restore a checkpoint and return its progress."""
         arrays, header = load_arrays(path)
         self._seen, self._wanted, self._episodes = arrays.pop("seen"), arrays.pop("wanted"), int(header["episodes"])
         restore_state({"student": self._student.network}, {"optimizer": self._student.optimizer}, arrays)
@@ -82,7 +82,7 @@ class DaggerTrainer:
         return progress
 
     def finish(self, folder: Path) -> dict[str, Any]:
-        """Learn longer from all samples, write the policy, and count how often it arrives in new episodes."""
+        """Train longer on all samples, write the policy, and evaluate it in new episodes."""
         loss = self._learn(_LAST_UPDATES, np.random.default_rng((self._seed, _SEEDS)))
         ends = [
             drive_labelled(self._task, self._interface, seed, self._student.command).outcome
@@ -104,7 +104,7 @@ class DaggerTrainer:
 
 @dataclass(frozen=True)
 class TaughtRun(Run):
-    """A corridor that is taught from one seed.
+    """Training run for a corridor policy from one seed.
 
     Attributes:
         task_name: Name or file of the task.
@@ -126,11 +126,11 @@ class TaughtRun(Run):
 
     @contextmanager
     def begin(self, options: RunOptions, tell: ProgressCallback) -> Iterator[DaggerTrainer]:  # noqa: ARG002 - one iteration is short
-        """Return the learner before its first episode."""
+        """Yield the trainer before its first episode."""
         yield DaggerTrainer(self.task, self.seed, options)
 
     def fingerprint(self, options: RunOptions) -> Mapping[str, Any]:
-        """Return what must stay the same for a run to go on."""
+        """Return the settings that must not change when a run resumes."""
         return {
             "task_digest": task_digest(self.task),
             "seed": self.seed,
@@ -139,7 +139,7 @@ class TaughtRun(Run):
         }
 
     def words(self, point: IterationMetrics) -> float | str:
-        """Return the success of the student's own drives before it learnt from them."""
+        """Return the success rate of the student's own drives in this iteration."""
         return float(point["evaluation"])
 
 
@@ -151,6 +151,6 @@ _METRICS = (
 
 
 def collect(runs: Sequence[TaughtRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the rows of finished runs, each metric with one value a seed, and their `curves` of success."""
+    """Return the rows of finished runs, with one value per seed for each metric, and their success `curves`."""
     found = finished_runs(runs, folder, lambda _: "taught by the time to reach")
     return collect_rows(found, _METRICS), {"curves": curves_of(found, success="evaluation")}

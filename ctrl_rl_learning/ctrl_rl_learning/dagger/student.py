@@ -1,4 +1,4 @@
-"""The student: a small network that learns the expert's commands from what the robot sees."""
+"""The student: a small network that learns the expert's commands from the robot's observations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _HIDDEN, _BATCH, _RATE, _DECAY = 256, 256, 1e-3, 1e-5
 
 
 class Student:
-    """A network from an observation in the interface's units to a command.
+    """Network that maps an observation in the interface's units to a command.
 
     Attributes:
         network: Network of the policy.
@@ -31,12 +31,12 @@ class Student:
         middle: NDArray[np.float32] | None = None,
         unit: NDArray[np.float32] | None = None,
     ) -> None:
-        """Begin untrained.
+        """Create an untrained network.
 
         Args:
             interface: Observation and commands.
-            middle: Observation in the interface's units that becomes 0 (n,); 0 unless given.
-            unit: Distance above it that becomes 1 (n,); 1 unless given.
+            middle: Observation in the interface's units that maps to 0 (n,); 0 by default.
+            unit: Offset from `middle` that maps to 1 (n,); 1 by default.
         """
         untrained = new_actor(interface, _HIDDEN, middle, unit)
         self._middle, self._unit = untrained.middle, untrained.unit
@@ -57,7 +57,7 @@ class Student:
         updates: int,
         random: np.random.Generator,
     ) -> float:
-        """Learn the commands (N, 2) of observations (N, n), and return the mean squared error of the last tenth."""
+        """Fit commands (N, 2) to observations (N, n); return the mean squared error over the last tenth of updates."""
         inputs = torch.from_numpy((observations - self._middle) / self._unit)
         wanted = torch.from_numpy(2.0 * (commands - self._low) / self._span - 1.0)
         losses = []
@@ -70,5 +70,5 @@ class Student:
         return float(np.mean(losses[-max(1, updates // 10) :]))
 
     def actor(self, manifest: Mapping[str, Any]) -> Actor:
-        """Return the policy that a node drives by."""
+        """Return the policy for deployment on a node."""
         return self.network.to_actor(manifest)

@@ -1,4 +1,4 @@
-"""Learning on the robot: a Gymnasium environment over ROS topics, an operator who may take over, and fine-tuning."""
+"""Learning on the robot: a Gymnasium environment over ROS topics, operator take-over, and fine-tuning."""
 
 import lazy_loader as lazy
 

@@ -1,6 +1,6 @@
-"""PPO, TRPO, DDPG and SAC of Stable-Baselines3 with one set of numbers each, the same for every reward and task.
+"""PPO, TRPO, DDPG and SAC of Stable-Baselines3, each with one set of hyperparameters for all rewards and tasks.
 
-Every hidden layer is normalised (as the published code does for DDPG): with it all learn from half the samples.
+Every hidden layer is normalised, as in the published code for DDPG; this halves the samples that each algorithm needs.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from ctrl_rl_learning.sb3.environment import observation_scales
 from ctrl_rl_learning.torch.networks import linear_arrays
 
 REWARD_SCALE = 0.01
-"""Every reward is multiplied by it before learning, so that values are of the order of 1 to 10."""
+"""Factor that multiplies every reward before learning, so that values are of the order of 1 to 10."""
 ROLL_OUT = 2048
 """Samples between two updates of PPO; TRPO updates twice as often."""
 
 _GAMMA = 0.98
 _HIDDEN = (64, 64)
 _NOISE, _RETURN = 0.5, 0.3
-"""Of the Ornstein-Uhlenbeck process, per step: it wanders for some steps. (The library's own numbers wander for
-hundreds, so that an episode begins without noise; independent noise stays about where the robot stands.)"""
+"""Parameters of the Ornstein-Uhlenbeck noise, per step, with a correlation time of a few steps. (With the library's
+hundreds of steps an episode starts without noise; independent noise keeps the robot near its start.)"""
 _ON_POLICY_ENVIRONMENTS = 8
 _OFF_POLICY = ("ddpg", "sac")
 
 
 class NormalizedTanh(torch.nn.Module):
-    """A layer's outputs, normalised over its units, then tanh."""
+    """Layer normalisation followed by tanh."""
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the outputs (N, units)."""
@@ -47,7 +47,7 @@ class NormalizedTanh(torch.nn.Module):
 
 
 class NormalizedRelu(torch.nn.Module):
-    """A layer's outputs, normalised over its units, then what is positive of them."""
+    """Layer normalisation followed by ReLU."""
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the outputs (N, units)."""
@@ -55,7 +55,7 @@ class NormalizedRelu(torch.nn.Module):
 
 
 def number_of_environments(algorithm: str) -> int:
-    """Return how many environments an algorithm steps in turn.
+    """Return the number of parallel environments of an algorithm.
 
     Raises:
         LearningError: there is no such algorithm.
@@ -77,11 +77,11 @@ def make_algorithm(
 
     Args:
         algorithm: One of `ALGORITHMS`.
-        make: Returns a new environment; or all environments, `number_of_environments` of them, with scaled rewards.
+        make: Returns a new environment; or a vectorised one of `number_of_environments` with scaled rewards.
         seed: Seed of networks, actions and environments.
-        samples: Number of samples that it sees, at most.
-        kind: Class derived from the algorithm's own, to be made in its place.
-        changes: Other arguments of Stable-Baselines3, e.g. `gamma`; those of `policy_kwargs` are added to the others.
+        samples: Maximum number of samples that the algorithm sees.
+        kind: Subclass of the algorithm to create instead.
+        changes: Other arguments of Stable-Baselines3, e.g. `gamma`; `policy_kwargs` extends the defaults.
 
     Raises:
         LearningError: there is no such algorithm.
@@ -156,7 +156,7 @@ def scaled_reward(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, An
 
 
 def extract_actor(model: BaseAlgorithm, task: NavigationTask, manifest: Mapping[str, Any]) -> Actor:
-    """Return the deterministic policy of an algorithm, as it stands."""
+    """Return the current deterministic policy of an algorithm."""
     on_policy = not isinstance(model, OffPolicyAlgorithm)
     policy: Any = model.policy
     if on_policy:

@@ -27,7 +27,7 @@ def save_checkpoint(
         path: Path of the file; replaced if it exists.
         model: Algorithm between two calls of its `learn`.
         progress: Progress of the run, as JSON.
-        history: Counts of earlier iterations, as arrays.
+        history: Visit counts of earlier iterations, as arrays.
     """
     tensors = model_arrays(model)
     tensors |= {f"{_HISTORY}{name}": array for name, array in history.items()}
@@ -48,7 +48,7 @@ def load_checkpoint(path: Path, model: BaseAlgorithm) -> tuple[dict[str, Any], d
 
 
 def model_arrays(model: BaseAlgorithm) -> Arrays:
-    """Return networks, optimisers, single variables and replay."""
+    """Return networks, optimisers, single variables and replay buffer as arrays."""
     arrays = state_arrays(_networks(model), _optimizers(model))
     arrays |= {f"{_VARIABLE}{name}": value.detach().cpu().numpy() for name, value in _variables(model).items()}
     replay = _replay(model)
@@ -61,7 +61,7 @@ def restore_model(model: BaseAlgorithm, arrays: Mapping[str, NDArray[Any]]) -> N
     """Restore a new model from the arrays of `model_arrays`.
 
     Raises:
-        KeyError, RuntimeError: the arrays are of another algorithm or network.
+        KeyError, RuntimeError: The arrays belong to another algorithm or network.
     """
     restore_state(_networks(model), _optimizers(model), arrays)
     for name, variable in _variables(model).items():
@@ -75,18 +75,18 @@ def restore_model(model: BaseAlgorithm, arrays: Mapping[str, NDArray[Any]]) -> N
 
 
 def _networks(model: BaseAlgorithm) -> dict[str, torch.nn.Module]:
-    """Return the networks that the algorithm itself names as part of it."""
+    """Return the networks that the algorithm lists as its own."""
     return {path: getattr(model, path) for path in _parts(model) if not path.endswith("optimizer")}
 
 
 def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
-    """Return its optimisers, by names without dots."""
+    """Return the algorithm's optimisers, by names without dots."""
     paths = [path for path in _parts(model) if path.endswith("optimizer")]
     return {path.removeprefix("policy.").replace(".", "_"): attrgetter(path)(model) for path in paths}
 
 
 def _variables(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
-    """Return what is learnt and belongs to no network."""
+    """Return the learnt variables outside the networks."""
     return {name: attrgetter(name)(model) for name in model._get_torch_save_params()[1]}
 
 
@@ -96,5 +96,5 @@ def _parts(model: BaseAlgorithm) -> list[str]:
 
 
 def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
-    """Return the samples of earlier roll-outs that the algorithm still learns from."""
+    """Return the algorithm's replay buffer; None if it has none."""
     return getattr(model, "replay_buffer", None)

@@ -1,4 +1,4 @@
-"""Simulated tasks as learners see them, observations around 0 and of the order of 1, and a policy's episodes in them.
+"""Simulated tasks with normalised observations, and evaluation episodes of a policy in them.
 
 environment = make_environment(load_navigation_task("car_ttr"))
 """
@@ -23,19 +23,19 @@ Vector = NDArray[np.float32]
 Environment = gymnasium.Env[Vector, Vector]
 
 TRAINING_RATE = {"xy": 60, "xz": 120}
-"""Physics steps per second while learning [Hz], by plane: a quarter and a half of the nodes' work."""
+"""Physics rate while learning [Hz], by plane: a quarter and a half of the rate for nodes."""
 DEPLOYED_RATE = 240
-"""Those of the simulated robots that nodes drive [Hz]."""
+"""Physics rate of the simulated robots that nodes drive [Hz]."""
 _TYPICAL = {"theta": 0.5 * math.pi, "psi": 0.25 * math.pi, "v_x": 2.0, "v_z": 2.0, "v": 1.0, "omega": 2.0}
-"""What counts as 1 of an observed angle or speed [rad, m/s, rad/s]."""
+"""Scale of each observed angle or speed: the value that maps to 1 [rad, m/s, rad/s]."""
 
 
 class ScaledObservation(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
-    """Observations around 0 and of the order of 1, by fixed numbers: an arena's and the lidar's reach are -2 to 2.
+    """Wrapper that scales observations by constants, so that the arena and the lidar's range map to -2 to 2.
 
     Attributes:
-        middle: Observation that becomes 0, in SI units (n,).
-        unit: Distance above the middle that becomes 1, in SI units (n,).
+        middle: Observation that maps to 0, in SI units (n,).
+        unit: Offset from `middle` that maps to 1, in SI units (n,).
     """
 
     def __init__(self, environment: Environment, task: NavigationTask) -> None:
@@ -44,14 +44,14 @@ class ScaledObservation(gymnasium.ObservationWrapper[Vector, Vector, Vector]):
         self.observation_space = spaces.Box(-np.inf, np.inf, self.middle.shape, np.float32)
 
     def observation(self, observation: Vector) -> Vector:
-        """Return the observation in these units (n,)."""
+        """Return the scaled observation (n,)."""
         return cast(Vector, (observation - self.middle) / self.unit)
 
 
 def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
-    """Return the middle and the unit of each observed component (n,), (n,), in SI units."""
+    """Return the offset and the scale of each observed component (n,), (n,), in SI units."""
     if task.corridor is not None:
-        raise LearningError(f"task '{task.name}' has a corridor: an arena or a map is needed to learn this way")
+        raise LearningError(f"task '{task.name}' has a corridor: this way of learning needs an arena or a map")
     own = {state.name: 0.5 * (state.upper - state.lower) for state in task.system.build().states}
     places = task.plane_bounds
     middle, unit = [], []
@@ -66,7 +66,7 @@ def observation_scales(task: NavigationTask) -> tuple[Vector, Vector]:
 
 
 def _typical(name: str, own: Mapping[str, float]) -> float:
-    """Return the unit of a component; half of its range for one of a model of one's own."""
+    """Return the scale of a component: a typical value, or half its range for a user-defined model."""
     return _TYPICAL[name] if name in _TYPICAL else own[name] if math.isfinite(own[name]) else 1.0
 
 
@@ -76,7 +76,7 @@ def observation_names(task: NavigationTask) -> list[str]:
 
 
 def usual_rate(task: NavigationTask, engine: str) -> int:
-    """Return the physics steps per second [Hz] while learning a task in an engine."""
+    """Return the physics rate [Hz] for learning a task in an engine."""
     return (FLEET_RATE if engine == "planar" else TRAINING_RATE)[task.plane]
 
 
@@ -87,13 +87,13 @@ def make_environment(
 
     Args:
         task: Task with the rewards.
-        rate: Physics steps per second [Hz]; `usual_rate` unless given.
-        wrappers: Functions called with the environment before its observations are scaled, e.g. to pay something else.
+        rate: Physics rate [Hz]; `usual_rate` by default.
+        wrappers: Wrappers applied before the observations are scaled, e.g. to replace the reward.
         engine: Physics engine, one of `sim_bridge.ENGINES`.
 
     Raises:
-        SimulationError: the time step of the task is not a whole number of physics steps.
-        LearningError: the task has a corridor.
+        SimulationError: The task's time step is not a whole number of physics steps.
+        LearningError: The task has a corridor.
     """
     options = SimulationOptions(engine=engine, rate=usual_rate(task, engine) if rate is None else rate)
     environment: Environment = NavigationEnv(task, options=options)
@@ -106,5 +106,5 @@ SUCCESS = Outcome.GOAL.name
 
 
 def evaluate(actor: Actor, environment: Environment, episodes: int, seed: int) -> Episodes[Vector]:
-    """Run one episode for each seed from `seed` on, and return them with their states."""
+    """Return one episode for each of `episodes` seeds, counting up from `seed`, with the states."""
     return drive(environment, FunctionDriver(actor.scaled_action), seeds=range(seed, seed + episodes), keep=True)

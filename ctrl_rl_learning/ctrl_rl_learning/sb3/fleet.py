@@ -1,6 +1,6 @@
-"""A fleet of robots as the environments of Stable-Baselines3, and as the test of a policy.
+"""A fleet of robots as vectorised environments for Stable-Baselines3, and for evaluating policies.
 
-What an episode pays beside the task's rewards, and where it starts, can be replaced: `FleetReward`, `FleetStarts`.
+`FleetReward` replaces the task's rewards, and `FleetStarts` its start states.
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ _LARGEST_SEED = 2**32
 
 
 class FleetReward(Protocol):
-    """What the steps of all robots pay."""
+    """Reward function for the steps of all robots."""
 
     def begin(self, robots: Sequence[int], states: Array) -> None:
-        """Begin episodes of robots at their states (len(robots), n)."""
+        """Begin episodes of the given robots at their states (len(robots), n)."""
 
     def pay(self, states: Array, outcomes: NDArray[np.intp], rewards: Array) -> Array:
-        """Return what a step pays each robot (N,).
+        """Return the reward of a step for each robot (N,).
 
         Args:
             states: States after the step (N, n).
-            outcomes: Outcomes of their episodes, values of `Outcome` (N,).
+            outcomes: Outcomes of the robots' episodes, values of `Outcome` (N,).
             rewards: Rewards of the task (N,).
         """
 
 
 class FleetStarts(Protocol):
-    """Where episodes of training start."""
+    """Start states of training episodes."""
 
     def draw(self, robot: int, random: np.random.Generator) -> Array | None:
-        """Return the state (n,) in which an episode of a robot starts; None where the task is to draw it."""
+        """Return the start state (n,) of a robot's next episode; None to let the task draw it."""
 
     def ended(self, robot: int, outcome: Outcome) -> None:
-        """Take how an episode of a robot ended."""
+        """Receive the outcome of a robot's episode."""
 
 
 class FleetEnvironments(VecEnv):
-    """Robots that begin a new episode as soon as one has ended; observations as `ScaledObservation` has them.
+    """Vectorised environments of a fleet, which restart finished episodes and scale as `ScaledObservation` does.
 
     Args:
         task: Task of the robots.
         size: Number of robots.
-        reward: Reward of the steps; the task's own unless given.
-        starts: Where episodes start; the task's start set unless given.
-        timeout_ends: Whether the return ends at a time-out, as at a collision, instead of going on with the value of
-            the last state: for learners of what a task pays for a time-out.
+        reward: Reward of the steps; the task's own by default.
+        starts: Start states of episodes; the task's start set by default.
+        timeout_ends: Whether a time-out ends the return, as a collision does, instead of bootstrapping from the value
+            of the last state; for tasks whose reward for a time-out the learner should see.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class FleetEnvironments(VecEnv):
         super().__init__(size, observed, spaces.Box(-1.0, 1.0, (2,), np.float32))
 
     def reset(self) -> Vector:
-        """Begin an episode of each robot; return the observations (N, d)."""
+        """Begin an episode for each robot; return the observations (N, d)."""
         for robot, seed in enumerate(self._seeds):
             if seed is not None:
                 self._random[robot] = np.random.default_rng(seed)
@@ -88,11 +88,11 @@ class FleetEnvironments(VecEnv):
         return self._observe()
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions (N, 2) in [-1, 1]."""
+        """Store the actions (N, 2) in [-1, 1] for the next step."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Vector, Vector, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Hold the actions for the task's time step."""
+        """Apply the stored actions for one time step of the task."""
         outcomes = self._fleet.step(self._actions).copy()
         states, paid, observed = self._fleet.states(), self._fleet.rewards(), self._observe()
         if self._reward is not None:
@@ -129,39 +129,39 @@ class FleetEnvironments(VecEnv):
         return ((self._fleet.observations() - self._middle) / self._unit).astype(np.float32)
 
     def close(self) -> None:
-        """Do nothing: there is nothing to give back."""
+        """Do nothing: the fleet holds no resources."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute, the same for all robots."""
+        """Return an attribute, which is the same for all robots."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, *_: Any) -> None:
-        """Refuse: no robot has attributes of its own."""
+        """Raise an error: robots have no attributes of their own."""
         raise AttributeError(f"a fleet's robots have no '{attr_name}' of their own")
 
     def env_method(self, method_name: str, *_: Any, **__: Any) -> list[Any]:
-        """Refuse: no robot has methods of its own."""
+        """Raise an error: robots have no methods of their own."""
         raise AttributeError(f"a fleet's robots have no '{method_name}' of their own")
 
     def env_is_wrapped(self, _: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
-        """Return that none is wrapped."""
+        """Return False for each robot: none is wrapped."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def fits_fleet(task: NavigationTask) -> bool:
-    """Return whether a fleet can simulate a task: not a corridor, nor worlds that move or differ between episodes."""
+    """Return whether a fleet can simulate a task, i.e. one without corridor, moving obstacles or randomisation."""
     return not (task.corridor or task.movers or task.randomisation)
 
 
 class _ScaledFleet:
-    """A fleet for `drive_fleet`: what its robots observe is scaled as for learners."""
+    """Fleet for `drive_fleet` with observations scaled as for learners."""
 
     def __init__(self, task: NavigationTask, reward: FleetReward | None) -> None:
         self._task, self._reward = task, reward
         self._middle, self._unit = observation_scales(task)
 
     def begin(self, seeds: Sequence[int]) -> tuple[NDArray[np.floating], Array]:
-        """Begin an episode of each seed."""
+        """Begin one episode per seed."""
         self._fleet = PlanarFleet(self._task, len(seeds))
         for robot, seed in enumerate(seeds):
             self._fleet.begin(robot, seed)
@@ -171,7 +171,7 @@ class _ScaledFleet:
         return self._observe(), states
 
     def step(self, actions: Array) -> tuple[NDArray[np.floating], Array, Array, NDArray[np.intp]]:
-        """Hold actions (N, 2) for the task's time step."""
+        """Apply actions (N, 2) for one time step of the task."""
         outcomes = self._fleet.step(actions).copy()
         states, paid = self._fleet.states(), self._fleet.rewards()
         if self._reward is not None:
@@ -185,5 +185,5 @@ class _ScaledFleet:
 def evaluate_in_fleet(
     actor: Actor, task: NavigationTask, seeds: Iterable[int], reward: FleetReward | None = None
 ) -> Episodes[None]:
-    """Return the episodes of a deterministic policy from seeds, all played side by side, with their states."""
+    """Return one episode of a deterministic policy per seed, simulated in parallel, with the states."""
     return drive_fleet(_ScaledFleet(task, reward), actor.scaled_action, seeds)

@@ -1,4 +1,4 @@
-"""How often learning met which states (thesis Fig. 3.7), and the losses of an algorithm while it learns."""
+"""Records of training: state visit counts (thesis Fig. 3.7) and the algorithm's losses."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from ctrl_rl_learning.errors import LearningError
 FORMAT = "visits-1"
 _HEADER_KEY = "visits"
 PLACES = 50
-"""Bins along each side of what the walls enclose."""
+"""Number of bins along each side of the walled area."""
 TURNS = 72
-"""Bins of the angle, from -pi to pi."""
+"""Number of bins of the angle, from -pi to pi."""
 
 Counts = NDArray[np.uint32]
 
 
 class Visits:
-    """Counts states by place and by angle, iteration by iteration."""
+    """Visit counts by position and by angle, one set per iteration."""
 
     def __init__(self, task: NavigationTask) -> None:
         names = task.system.build().state_names
@@ -43,11 +43,11 @@ class Visits:
         self._met: list[NDArray[np.float64]] = []
 
     def add(self, states: list[NDArray[np.float64]]) -> None:
-        """Note some states (n,)."""
+        """Add states (n,)."""
         self._met += states
 
     def end_iteration(self) -> None:
-        """Count what was noted since the last iteration."""
+        """Count the states added since the last iteration."""
         states = np.array(self._met).reshape(len(self._met), -1)
         self._met = []
         x, y = (states[:, index] if len(states) else np.empty(0) for index in self._places)
@@ -63,17 +63,17 @@ class Visits:
         }
 
     def with_counts(self, counts: Mapping[str, NDArray[Any]]) -> Self:
-        """Take the counts of earlier iterations and return itself."""
+        """Restore the counts of earlier iterations and return self."""
         self._places_met, self._turns_met = list(counts["places"]), list(counts["turns"])
         return self
 
     def save(self, path: Path) -> None:
-        """Write the counts; the file is there whole or not at all."""
+        """Write the counts to a file atomically."""
         atomic_write(path, encode_tensors(self.counts(), _HEADER_KEY, {"format": FORMAT}))
 
 
 def load_visits(path: Path) -> dict[str, Counts]:
-    """Return the counts of a file, see `Visits.counts`.
+    """Return the counts in a file, see `Visits.counts`.
 
     Raises:
         LearningError: it is no such file.
@@ -82,7 +82,7 @@ def load_visits(path: Path) -> dict[str, Counts]:
         header, counts, _ = read_tensors(path, _HEADER_KEY, largest=None, types=("U32",))
         shapes = {name: counts[name].shape[1:] for name in sorted(counts)}
         if header not in ({}, {"format": FORMAT}) or shapes != {"places": (PLACES, PLACES), "turns": (TURNS,)}:
-            raise FileError("holds no counts of visits")
+            raise FileError("holds no visit counts")
     return counts
 
 
@@ -92,21 +92,21 @@ _SAMPLED = 256
 
 
 class LossLogger(Logger):
-    """Keeps what the updates of an algorithm log; nothing is printed or written."""
+    """Logger that collects the figures of an algorithm's updates without printing or writing them."""
 
     def __init__(self) -> None:
         super().__init__(None, [])
         self._logged: dict[str, list[float]] = {}
 
     def record(self, key: str, value: Any, exclude: str | tuple[str, ...] | None = None) -> None:
-        """Keep one figure."""
+        """Store one figure."""
         super().record(key, value, exclude)
         name = key.removeprefix(_PREFIX)
         if name != key and name not in _SETTINGS and math.isfinite(float(value)):
             self._logged.setdefault(name, []).append(float(value))
 
     def take(self) -> dict[str, float]:
-        """Return the means since the last call; `loss` and, of a random policy, `entropy` are there for every one."""
+        """Return the means since the last call; always with `loss`, and `entropy` for a stochastic policy."""
         means = {name: float(np.mean(values)) for name, values in self._logged.items()}
         self._logged = {}
         if "entropy_loss" in means:
@@ -119,16 +119,16 @@ class LossLogger(Logger):
 
 
 def listen(model: BaseAlgorithm) -> LossLogger:
-    """Return the logger that an algorithm has from now on."""
+    """Give an algorithm a `LossLogger` and return it."""
     logger = LossLogger()
     model.set_logger(logger)
     return logger
 
 
 def entropy_of(model: BaseAlgorithm) -> dict[str, float]:
-    """Return the `entropy` of a soft actor-critic's policy, which it does not log; nothing of other algorithms.
+    """Return the policy `entropy` of soft actor-critic, which does not log it; empty for other algorithms.
 
-    What learning draws afterwards is the same as without this.
+    The random numbers that learning draws afterwards are unaffected.
     """
     replay = getattr(model, "replay_buffer", None)
     if not isinstance(model, SAC) or replay is None or not replay.size():

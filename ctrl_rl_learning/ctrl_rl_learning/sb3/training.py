@@ -1,4 +1,4 @@
-"""Learning with Stable-Baselines3: iterations of fresh episodes, an evaluation after each, and the deployed policy.
+"""Training with Stable-Baselines3: iterations of new episodes, an evaluation after each, and the exported policy.
 
 result = train(run, RunOptions(Path("runs/mine"), 10, 10240, 20, 50))        # run: a `SimulatedRun`
 """
@@ -36,25 +36,25 @@ from ctrl_rl_learning.sb3.records import Visits, entropy_of, listen
 from ctrl_rl_learning.study.run import IterationMetrics, ProgressCallback, Run, RunOptions
 
 Tester = Callable[[Actor, int, int], Sequence[Episode[Any]]]
-"""Returns so many episodes of a policy, from a seed and those that follow it."""
+"""Function of policy, number of episodes and first seed that returns the episodes."""
 _EVALUATION_SEED = 1_000_000
 
 
 class SimulatedRun(Run):
-    """A run in a simulated task: robots side by side in the planar engine, or one at a time.
+    """Training run in a simulated task, with a fleet in the planar engine or one robot at a time.
 
-    Its folder then holds policy.safetensors (an `Actor`) and visits.safetensors (how often states were met: `Visits`).
-    A point of its curve says samples, episodes and how they ended, success of the evaluation and its mean undiscounted
-    return, `losses` (see `LossLogger.take`), and `notes`; its result has `success`, `returns` and how they `ended` (of
-    the last evaluation) and `paths` (states of its first episodes).
+    A finished run leaves policy.safetensors (an `Actor`) and visits.safetensors (`Visits`) in its folder. Each point of
+    the curve has samples, episodes and their outcomes, success rate and mean undiscounted return of the evaluation,
+    `losses` (see `LossLogger.take`) and `notes`. The result has `success`, `returns` and outcomes (`ended`) of the last
+    evaluation, and `paths`, the states of its first episodes.
 
     Attributes:
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
     """
 
     seed: int
 
-    if TYPE_CHECKING:  # a field of a subclass would take a property for its default
+    if TYPE_CHECKING:  # dataclass fields of subclasses would take a property as their default
 
         @property
         def task(self) -> NavigationTask:
@@ -67,24 +67,24 @@ class SimulatedRun(Run):
 
     @abstractmethod
     def environment(self, rate: int | None = None) -> Environment:
-        """Return one robot's environment with so many physics steps per second [Hz], see `make_environment`."""
+        """Return one robot's environment at a physics rate [Hz], see `make_environment`."""
 
     @property
     def in_fleet(self) -> bool:
-        """Whether it learns, and is evaluated while it learns, in a fleet; its task must fit one, see `fits_fleet`."""
+        """Whether training and its evaluations use a fleet, which the task must fit (see `fits_fleet`)."""
         return False
 
     @property
     def timeout_ends(self) -> bool:
-        """Whether the return ends at a time-out, see `FleetEnvironments`."""
+        """Whether a time-out ends the return, see `FleetEnvironments`."""
         return False
 
     def fleet_reward(self, _robots: int, /) -> FleetReward | None:
-        """Return what a fleet of so many robots is paid; None for the task's own rewards."""
+        """Return the reward for a fleet of the given size; None for the task's own rewards."""
         return None
 
     def environments(self, algorithm: str) -> VecEnv | Callable[[], Environment]:
-        """Return what `make_algorithm` makes the environments of an algorithm from."""
+        """Return the argument `make` of `make_algorithm`."""
         if not self.in_fleet:
             return self.environment
         robots = number_of_environments(algorithm)
@@ -92,11 +92,11 @@ class SimulatedRun(Run):
 
     @abstractmethod
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples."""
+        """Return the untrained algorithm with its environments, for a total number of samples."""
 
     @contextmanager
     def tester(self) -> Iterator[Tester]:
-        """Yield how policies are evaluated while learning; the simulation is kept from the first time to the end."""
+        """Yield the function that evaluates policies during training; it creates the simulation once and reuses it."""
         if self.in_fleet:
             yield lambda actor, episodes, seed: evaluate_in_fleet(
                 actor, self.task, range(seed, seed + episodes), self.fleet_reward(episodes)
@@ -114,11 +114,11 @@ class SimulatedRun(Run):
             yield test
 
     def notes(self, _: BaseAlgorithm, /) -> dict[str, Any]:
-        """Return more figures for a point of the curve, as JSON; called after each iteration."""
+        """Return additional figures for a point of the curve, as JSON; called after each iteration."""
         return {}
 
     def fingerprint(self, _: RunOptions) -> dict[str, Any]:
-        """Return description and digest of the task."""
+        """Return the run's description and the digest of its task."""
         return {**self.description, "task_digest": task_digest(self.task)}
 
     def words(self, point: IterationMetrics) -> float:
@@ -127,7 +127,7 @@ class SimulatedRun(Run):
 
     @contextmanager
     def begin(self, options: RunOptions, _: ProgressCallback) -> Iterator[_Trainer]:
-        """Yield the learner with its environments."""
+        """Yield the trainer with its environments."""
         model = self.model(options.samples * options.iterations)
         try:
             with self.tester() as test:
@@ -138,7 +138,7 @@ class SimulatedRun(Run):
 
 
 class _Trainer:
-    """An algorithm of Stable-Baselines3 as a `Trainer`."""
+    """`Trainer` for an algorithm of Stable-Baselines3."""
 
     def __init__(self, run: SimulatedRun, options: RunOptions, model: BaseAlgorithm, test: Tester) -> None:
         self._run = run
@@ -173,7 +173,7 @@ class _Trainer:
         return progress
 
     def finish(self, folder: Path, /) -> dict[str, Any]:
-        """Evaluate at the rate of the deployed robots, and write policy and visits."""
+        """Evaluate at the physics rate of deployed robots, and write policy and visits."""
         run = self._run
         manifest = {
             **run.fingerprint(self._options),
@@ -205,7 +205,7 @@ class _Trainer:
 
 
 def _interface(task: NavigationTask) -> PolicyManifest | None:
-    """Return how a node drives by the policy; None for commands that no node can send."""
+    """Return the policy's interface for the node; None if no node can send its commands."""
     try:
         return interface_of(task)
     except PolicyError:
@@ -213,13 +213,13 @@ def _interface(task: NavigationTask) -> PolicyManifest | None:
 
 
 def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> list[str]:
-    """Learn from so many samples of fresh episodes and return how those ended that did."""
+    """Learn from a number of samples of new episodes, and return the recorded outcomes of the finished ones."""
     model.set_random_seed(seed)
     model._last_obs = None  # makes `learn` reset the environments
     recorder = Recorder(visits)
     model.learn(samples, callback=recorder, reset_num_timesteps=False)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
-        # What comes next in the replay is another episode: returns over several steps must end here.
+        # The next row of the replay buffer belongs to another episode, so multi-step returns must end here.
         last = model.replay_buffer.pos - 1
         model.replay_buffer.timeouts[last] = np.maximum(
             model.replay_buffer.timeouts[last], model.replay_buffer.dones[last] == 0.0
@@ -228,14 +228,14 @@ def _iterate(model: BaseAlgorithm, seed: int, samples: int, visits: Visits) -> l
 
 
 class Recorder(BaseCallback):
-    """Notes how episodes end, what they return and which states they meet.
+    """Callback that records outcomes, returns and visited states of training episodes.
 
     Args:
-        visits: Counter that states are added to, None for none.
+        visits: Counter of visited states; None to skip counting.
 
     Attributes:
-        outcomes: Outcomes of the episodes that ended.
-        returns: Undiscounted return of each.
+        outcomes: Outcomes of the finished episodes.
+        returns: Undiscounted return of each finished episode.
     """
 
     def __init__(self, visits: Visits | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Runs that resume, many at a time, their results, and the options of the commands that start them."""
+"""Resumable training runs, parallel execution, results, and the options of the commands that start them."""
 
 import lazy_loader as lazy
 

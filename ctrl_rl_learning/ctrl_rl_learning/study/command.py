@@ -1,4 +1,4 @@
-"""The dialect of the commands `train` and `plot` of every package; torch is imported when work begins."""
+"""Shared options and steps of the `train` and `plot` commands of all packages; torch is imported late."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ class ExperimentOptions:
     """Options that mean the same in every command that trains many runs."""
 
     folder: FolderToWrite
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has its own subfolder and resumes there."""
     seeds: Positive = 5
-    """Number of seeds, counted from 0."""
+    """Number of seeds, starting from 0."""
     samples: Positive | None = None
     """Samples of a run (default: the task's)."""
     workers: NotNegative = 0
-    """Runs at a time; 0 for one for each core."""
+    """Number of parallel runs; 0 for one per core."""
     ray: str | None = None
-    """Address of the Ray cluster that trains, auto for this machine's (default: processes of this machine)."""
+    """Address of a Ray cluster to train on, or auto for this machine's (default: local processes)."""
     results: OptionalFileToWrite = None
-    """JSON file to write table and curves to."""
+    """JSON file to write the table and curves to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +68,11 @@ class SimulatedOptions(ExperimentOptions):
     task: str
     """Task to learn: one of the suite, or a task file."""
     samples: Positive = 10 * ITERATION
-    """Samples of a run; whole iterations of 10240 are done."""
+    """Samples per run, rounded up to iterations of 10240."""
     iterations: Positive | None = None
     """Old name of --samples, in units of 10240."""
     engine: Annotated[str, one_of(("planar", "auto"))] = "planar"
-    """Engine to learn in: planar, robots side by side where the task fits, or auto, one at a time in PyBullet."""
+    """Engine to train in: planar (a fleet, if the task fits one) or auto (one robot at a time in PyBullet)."""
 
     def run_options(self) -> RunOptions:
         """Return the settings of the runs."""
@@ -89,16 +89,16 @@ def train_and_collect(
     how: RunOptions,
     labels: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Run what is not finished yet, print the table, and write it and the figures' data if asked to.
+    """Run the unfinished runs, print the table, and write it with the figures' data if requested.
 
     Args:
         options: Options of the command.
         task: Task of the runs.
-        runs: Runs in the order in which they begin.
-        title: Begins the name of the experiment, which ends with the task's.
-        collect: Returns the rows and the figures' data of the runs that are finished in a folder.
+        runs: Runs in the order in which they start.
+        title: Prefix of the experiment's name; the task's name follows.
+        collect: Returns rows and figure data of the finished runs in a folder.
         how: Settings of the runs.
-        labels: Labels of the methods whose own name does not say enough.
+        labels: Labels that replace method names in the table.
 
     Raises:
         CtrlRlError: See `run_experiments`.
@@ -117,7 +117,7 @@ def train_and_collect(
 
 @dataclass(frozen=True, kw_only=True)
 class PlotOptions:
-    """Draw the curves of learning from the results that `train` wrote."""
+    """Draw learning curves from the results that `train` wrote."""
 
     results: Annotated[Path, tyro.conf.Positional]
     """JSON file of `train --results`."""
@@ -127,33 +127,33 @@ class PlotOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskPlotOptions(PlotOptions):
-    """Draw curves and paths of learning from the results that `train` wrote."""
+    """Draw learning curves and driven paths from the results that `train` wrote."""
 
     task: str | None = None
-    """Task file, where the task is not one of the suite's."""
+    """Task file, needed if the task does not belong to the suite."""
 
 
 def find_learnt_task(file: Path, name: str, given: str | None, error: type[Exception]) -> NavigationTask:
-    """Return the task that is given, or else the one of the suite that a file names.
+    """Return the given task, or else the suite's task that a file names.
 
     Raises:
-        Exception: `error`, if none is given and the suite has none of that name.
+        Exception: `error`, if no task is given and the suite has none of that name.
         TaskError: There is no such task.
     """
     if given is None and name not in task_names():
-        raise error(f"{file}: is of task '{name}', none of the suite's: give its file with --task")
+        raise error(f"{file}: belongs to task '{name}', which is not in the suite: give its file by --task")
     return load_navigation_task(given or name)
 
 
 def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[str, Any], NavigationTask]:
-    """Return the figures' data of a results file and the task that they belong to, and make the folder of pictures.
+    """Return figure data and task of a results file, and create the folder of the pictures.
 
     Args:
         options: Options of the command.
         kind: Schema of the data.
 
     Raises:
-        ResultsError: The file holds no such results, or those of another task.
+        ResultsError: The file holds no such results, or belongs to another task.
         TaskError: There is no such task.
     """
     from ctrl_rl_learning.study.results import read_figures
@@ -162,12 +162,12 @@ def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[s
     task = find_learnt_task(options.results, figures["task"], options.task, ResultsError)
     name = task.name
     if name != figures["task"]:
-        raise ResultsError(f"{options.results}: is of task '{figures['task']}', not of '{name}': leave --task out")
+        raise ResultsError(f"{options.results}: belongs to task '{figures['task']}', not '{name}': omit --task")
     size = len(task.system.build().state_names)
     if any(len(path["states"][0]) != size for paths in figures["paths"].values() for path in paths):
-        raise ResultsError(f"{options.results}: its paths are not of {size} states, as task '{name}' has")
+        raise ResultsError(f"{options.results}: its paths do not have {size} states, as task '{name}' does")
     if figures.get("task_digest", task_digest(task)) != task_digest(task):
-        remark = "is of another version of its task than is drawn: give its file with --task"
+        remark = "belongs to another version of its task: give that version's file by --task"
         print(f"{Path(sys.argv[0]).name}: {options.results}: {remark}", file=sys.stderr)
     options.output.mkdir(parents=True, exist_ok=True)
     return figures, task

@@ -1,9 +1,9 @@
-"""Curves of learning in a run's folder, for every learner: curve.csv, and events that `tensorboard --logdir` shows.
+"""Learning curves in a run's folder, for every learner: curve.csv and TensorBoard events.
 
-    with Curves(folder, known) as curves:       # known: points of a run that goes on
+    with Curves(folder, known) as curves:       # known: points of a resumed run
         curves.add({"samples": 2048, "evaluation": 0.4, "losses": {"loss": 0.1, "entropy": 1.2}})
 
-Both have one name for the same thing, whoever learns: `success`, `return`, `loss`, `entropy`.
+Names are the same in both files and for all learners: `success`, `return`, `loss`, `entropy`.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from ctrl_rl_core import atomic_write
 
 FILE = "curve.csv"
 _STEPS = ("samples", "actions", "updates")
-"""Names of what a curve is drawn over, the first that a point has; else its number counts."""
+"""Candidate names for the x axis of a curve: the first one in a point is used, else the point's index."""
 _NAMES = {"evaluation": "success", "best": "return"}
 _PLAIN = frozenset({"losses", "learning", "update"})
-"""Groups of figures whose names need no prefix."""
+"""Groups whose figures keep their names without a prefix."""
 
 
 def scalars(point: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers of a point by name, those of a group with its name before them; lists are left out."""
+    """Return the numbers in a point by name, prefixed by the name of their group; omit lists."""
     out: dict[str, float] = {}
     for name, value in _flat(point):
         out.setdefault(name, value)
@@ -41,7 +41,7 @@ def _flat(point: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 class Curves:
-    """The curves of one run, written anew after each point.
+    """Curves of one run, rewritten after each point.
 
     Args:
         folder: Folder of the run.
@@ -49,23 +49,23 @@ class Curves:
     """
 
     def __init__(self, folder: Path, known: Sequence[Mapping[str, Any]] = ()) -> None:
-        from torch.utils.tensorboard import SummaryWriter  # takes a second: not where nothing is learnt
+        from torch.utils.tensorboard import SummaryWriter  # takes a second to import, so only where something is learnt
 
         self._file, self._rows = folder / FILE, [scalars(point) for point in known]
-        # What a killed call wrote after its last checkpoint is not shown.
+        # Hide the points that a killed call wrote after its last checkpoint.
         purge = self._step(self._rows[-1]) + 1 if self._rows else None
         self._events = SummaryWriter(str(folder), purge_step=purge)
 
     def __enter__(self) -> Self:
-        """Return itself."""
+        """Return self."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the events."""
+        """Close the event file."""
         self._events.close()
 
     def add(self, point: Mapping[str, Any]) -> None:
-        """Write one point more."""
+        """Add a point and write it."""
         row = scalars(point)
         self._rows.append(row)
         step = self._step(row)

@@ -1,4 +1,4 @@
-"""Many runs at a time, in processes or on a Ray cluster; they may be cut off at any time.
+"""Parallel training runs in processes or on a Ray cluster, interruptible at any time.
 
 results = run_experiments(runs, RunOptions(Path("runs/mine"), 10, 10240))
 """
@@ -23,25 +23,24 @@ from ctrl_rl_learning.study.trainer import train
 def run_experiments(
     runs: Sequence[Run], options: RunOptions, workers: int = 0, title: str = "training", ray: str | None = None
 ) -> list[dict[str, Any]]:
-    """Run what is not finished yet and return the results of all.
+    """Run the unfinished runs and return the results of all.
 
-    After a kill the same call goes on: it loses at most the iteration that each worker was in.
+    After an interruption the same call resumes and loses at most one iteration per worker.
 
     Args:
-        runs: Runs in the order in which they begin.
+        runs: Runs in the order in which they start.
         options: Settings that all runs share.
-        workers: Runs at a time; 0 for one for each core, here or in the cluster.
-        title: Title of the progress bar and name of the lock that keeps a second call out of the folder.
-        ray: Address of a Ray cluster whose workers train, "auto" for this machine's; processes of this machine unless
-            given.
+        workers: Number of parallel runs; 0 for one per core, on this machine or in the cluster.
+        title: Title of the progress bar, and name of the lock that keeps other calls out of the folder.
+        ray: Address of a Ray cluster to train on, or "auto" for this machine's; local processes by default.
 
     Raises:
-        LockError: Another call works in the folder.
-        CtrlRlError: A run refuses, or a worker was killed.
+        LockError: Another call is using the folder.
+        CtrlRlError: A run fails, or a worker was killed.
     """
     if ray is not None:
         require_ray()
-    # What is finished is read first: what does not fit is refused now, not after hours of the others.
+    # Read finished runs first, so that a mismatch fails now and not after hours of training.
     known = {run.name: train(run, options) for run in runs if result_file(options.folder, run).is_file()}
     todo = [run for run in runs if run.name not in known]
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -60,7 +59,7 @@ def run_experiments(
 
 
 class _Progress:
-    """Shows reports, each a run's name, the iterations done, and a success rate or words."""
+    """Progress bar that shows each run's name, its finished iterations, and a success rate or a message."""
 
     def __init__(self, bar: tqdm[Any]) -> None:
         self._bar = bar
@@ -70,7 +69,7 @@ class _Progress:
         name, done, how = report
         before, left = self._done.get(name, 0), int(self._bar.total or 0) - self._bar.n
         new = min(max(done - before, 0), left)
-        if name not in self._done and done > 1:  # it goes on from a checkpoint: what was done before sets no pace
+        if name not in self._done and done > 1:  # resumed from a checkpoint: exclude earlier iterations from the pace
             self._bar.initial += new
             self._bar.last_print_n += new
             self._bar.n += new

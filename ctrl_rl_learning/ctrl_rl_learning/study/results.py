@@ -1,4 +1,4 @@
-"""Tables of finished runs, from the metrics that a package declares; curves and data of figures; estimates."""
+"""Tables of finished runs by declared metrics, schemas of curves and figure data, and bootstrap estimates."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from ctrl_rl_learning.study.run import Run, read_result, result_file
 
 Series = Annotated[list[float], Field(min_length=1, max_length=100_000)]
 Seeds = Annotated[list[Series], Field(min_length=1, max_length=10_000)]
-"""Of each seed, one value an iteration."""
+"""For each seed, one value per iteration."""
 State = Annotated[list[float], Field(min_length=2, max_length=50)]
 
 
 class _Data(Schema):
-    """Figures may be NaN where there was nothing to measure."""
+    """Schema whose numbers may be NaN, for quantities without a measurement."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
 
 class Curve(_Data):
-    """What the seeds of a method gave after so many samples."""
+    """Figures of a method's seeds by number of samples."""
 
     samples: Series
 
@@ -36,30 +36,30 @@ class Curve(_Data):
     def _as_long_as_each_other(self) -> Curve:
         for name, seeds in self:
             if name != "samples" and any(len(values) != len(self.samples) for values in seeds):
-                raise ValueError(f"{name}: not one value for each of the samples")
+                raise ValueError(f"{name}: needs one value for each entry of samples")
         return self
 
 
 class ValueCurve(Curve):
-    """A curve of one figure."""
+    """Curve of one figure."""
 
     values: Seeds
 
 
 class SuccessCurve(Curve):
-    """A curve of the success rate."""
+    """Curve of the success rate."""
 
     success: Seeds
 
 
 class ReturnCurve(SuccessCurve):
-    """A curve of success rate and return."""
+    """Curve of success rate and return."""
 
     total: Seeds
 
 
 class DrivenPath(_Data):
-    """The states of an episode, and how it ended."""
+    """States and outcome of an episode."""
 
     outcome: Name
     states: Annotated[list[State], Field(min_length=1, max_length=1_000_000)]
@@ -67,12 +67,12 @@ class DrivenPath(_Data):
     @model_validator(mode="after")
     def _of_one_size(self) -> DrivenPath:
         if len({len(state) for state in self.states}) > 1:
-            raise ValueError("states: of different sizes")
+            raise ValueError("states: must all have the same size")
         return self
 
 
 class Figures(_Data):
-    """The figures' data of a results file; each package adds what it draws."""
+    """Figure data in a results file; each package adds its own fields."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -86,7 +86,7 @@ _RESAMPLED = 1000
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean with its 95 % interval over resampled episodes and fits."""
+    """Mean and 95 % bootstrap interval over episodes and fits."""
 
     mean: float
     low: float
@@ -97,7 +97,7 @@ class Estimate:
 
 
 def estimate(numbers: Array, random: np.random.Generator) -> Estimate:
-    """Return mean and interval of numbers (fits, episodes), by resampling episodes and drawing a fit."""
+    """Return mean and bootstrap interval of numbers (fits, episodes), resampling episodes and drawing one fit each."""
     fits, count = numbers.shape
     drawn = random.integers(count, size=(_RESAMPLED, count))
     means = numbers[random.integers(fits, size=_RESAMPLED)[:, None], drawn].mean(axis=1)
@@ -109,11 +109,11 @@ AnyRun = TypeVar("AnyRun", bound=Run)
 Finished = dict[str, list[tuple[AnyRun, dict[str, Any]]]]
 """Runs and their results by method."""
 GOOD = 0.9
-"""Success that counts as learnt (thesis 3.2.3)."""
+"""Success rate that counts as learnt (thesis 3.2.3)."""
 
 
 def finished_runs(runs: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun], str]) -> Finished[AnyRun]:
-    """Return the runs that are finished and their results (see `trainer.train`), by method."""
+    """Return the finished runs with their results (see `trainer.train`), by method."""
     out: Finished[AnyRun] = {}
     for run in runs:
         file = result_file(folder, run)
@@ -123,7 +123,7 @@ def finished_runs(runs: Sequence[AnyRun], folder: Path, label: Callable[[AnyRun]
 
 
 def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", least: float = GOOD) -> float | None:
-    """Return after how many samples what `key` names first was enough and the next was too; None if it never was."""
+    """Return the samples after which `key` first reaches `least` and keeps it at the next point; None if never."""
     good = [point[key] >= least for point in curve]
     for index, point in enumerate(curve):
         if good[index] and (index + 1 == len(curve) or good[index + 1]):
@@ -133,12 +133,12 @@ def samples_to(curve: Sequence[Mapping[str, Any]], key: str = "evaluation", leas
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of a table.
+    """Column of a table.
 
     Attributes:
         name: Name of the metric.
-        unit: Its unit, "1" for none.
-        values: Returns its values for the results of a method's seeds, usually one for each.
+        unit: Unit of the metric, "1" for none.
+        values: Returns the values for the results of a method's seeds, usually one per seed.
     """
 
     name: str
@@ -147,20 +147,20 @@ class Metric:
 
 
 def metric(name: str, unit: str, value: Callable[[Mapping[str, Any]], float]) -> Metric:
-    """Return a metric with one value for each seed."""
+    """Return a metric with one value per seed."""
     return Metric(name, unit, lambda results: [float(value(result)) for result in results])
 
 
 def metrics_of_speed(
     key: str = "evaluation", least: float = GOOD, words: str = f"{GOOD:.0%}", more: str = ""
 ) -> list[Metric]:
-    """Return how many seeds reach a level of the curve's figure `key`, and after how many samples; see `samples_to`.
+    """Return two metrics: how many seeds reach a level, and after how many samples (see `samples_to`).
 
     Args:
         key: Name of the figure in the curve.
-        least: Level that counts as reached.
-        words: The level, as the metrics' names say it.
-        more: Ends the name of the first metric.
+        least: Level to reach.
+        words: Text of the level in the metrics' names.
+        more: Suffix of the first metric's name.
     """
 
     def reached(results: Sequence[Mapping[str, Any]]) -> list[float]:
@@ -177,12 +177,12 @@ def collect_rows(
     metrics: Sequence[Metric],
     reference: Callable[[AnyRun, str], float | None] = lambda *_: None,
 ) -> list[Result]:
-    """Return a row for each method and metric, but for those without a value.
+    """Return a row for each method and metric that has a value.
 
     Args:
         finished: Runs and results by method.
         metrics: Columns of the table.
-        reference: Returns the thesis's figure for a run's method and a metric's name, None where it gives none.
+        reference: Returns the thesis's figure for a run's method and a metric's name; None if the thesis gives none.
     """
     return [
         Result(method, metric.name, metric.unit, values, reference(runs[0][0], metric.name))
@@ -198,7 +198,7 @@ def curves_of(finished: Finished[AnyRun], **names: str) -> dict[str, dict[str, l
 
 
 def curves(results: Sequence[Mapping[str, Any]], **names: str) -> dict[str, list[Any]]:
-    """Return `samples` (iterations,) and, for each keyword, what the curves call by its value (seeds, iterations)."""
+    """Return `samples` (iterations,) and, for each keyword NAME=KEY, figure KEY of the curves (seeds, iterations)."""
     length = min(len(result["curve"]) for result in results)
     out: dict[str, list[Any]] = {"samples": [point["samples"] for point in results[0]["curve"][:length]]}
     for name, key in names.items():
@@ -211,7 +211,7 @@ def as_table(rows: Sequence[Result], labels: Mapping[str, str]) -> str:
 
     Args:
         rows: Rows of the table.
-        labels: Labels of the methods whose own name does not say enough.
+        labels: Labels that replace method names.
     """
     head = ("method", "metric", "ours", "thesis")
     lines = [head, *(_cells(row, labels.get(row.method, row.method)) for row in rows)]
@@ -228,14 +228,14 @@ def _cells(row: Result, label: str) -> tuple[str, str, str, str]:
 
 
 def read_figures(file: Path, kind: type[Figures]) -> dict[str, Any]:
-    """Return the figures' data of a results file.
+    """Return the figure data in a results file.
 
     Args:
         file: Results file that `train --results` wrote.
         kind: Schema of the data.
 
     Raises:
-        ResultsError: there is no such file, or it holds something else.
+        ResultsError: There is no such file, or it has other content.
     """
     other = "is not a file that `train --results` wrote"
     with raise_as(ResultsError, file):

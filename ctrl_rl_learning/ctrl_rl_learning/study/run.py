@@ -1,4 +1,4 @@
-"""A run: a method that learns a task from one seed, the settings that many runs share, and what a run leaves."""
+"""A training run: a method that learns a task from one seed, the settings of an experiment, and a run's files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pydantic import ConfigDict, Field, field_validator
 from ctrl_rl_learning.errors import LearningError
 
 IterationMetrics = dict[str, Any]
-"""Figures of one iteration of a curve, as JSON."""
+"""Figures of one iteration, as JSON."""
 ProgressCallback = Callable[[int, "float | str"], None]
-"""Takes the iterations done, and a success rate or other words on how a run goes. It may be called more than once for
-an iteration, where something else takes long."""
+"""Called with the number of finished iterations, and a success rate or a message. A long iteration may call it more
+than once."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class RunOptions:
     """Settings that all runs of an experiment share.
 
     Attributes:
-        folder: Folder in which each run has a folder of its own.
-        iterations: Number of iterations, at most.
-        samples: Number of samples in an iteration; 0 where data are given.
+        folder: Folder with one subfolder per run.
+        iterations: Maximum number of iterations.
+        samples: Number of samples per iteration; 0 when learning from given data.
         evaluations: Number of episodes after each iteration.
         final_evaluations: Number of episodes after the last iteration.
     """
@@ -41,16 +41,16 @@ class RunOptions:
 
 
 class Trainer(Protocol):
-    """A learner between two iterations."""
+    """Learner that `train` advances one iteration at a time."""
 
     def iterate(self, curve: Sequence[IterationMetrics], /) -> IterationMetrics:
-        """Learn for one iteration more than the curve has and return its figures."""
+        """Learn for one more iteration than the curve has, and return its figures."""
 
     def save(self, path: Path, progress: Mapping[str, Any], /) -> None:
-        """Write a checkpoint; `progress` is JSON that belongs to it."""
+        """Write a checkpoint that includes `progress`, as JSON."""
 
     def load(self, path: Path, /) -> dict[str, Any]:
-        """Go on from a checkpoint and return its `progress`.
+        """Restore a checkpoint and return its `progress`.
 
         Raises:
             Exception: One of `trainer.UNUSABLE`, if the file cannot be read or belongs to another learner.
@@ -61,7 +61,7 @@ class Trainer(Protocol):
 
 
 class Run(ABC):
-    """All that defines a run, and nothing that cannot be sent to another process; subclasses are frozen dataclasses."""
+    """Definition of a run, which can be pickled for another process; subclasses are frozen dataclasses."""
 
     @property
     @abstractmethod
@@ -70,33 +70,33 @@ class Run(ABC):
 
     @abstractmethod
     def begin(self, options: RunOptions, tell: ProgressCallback) -> AbstractContextManager[Trainer]:
-        """Return the learner as it is before the first iteration; it is closed at the end."""
+        """Yield the trainer before its first iteration, and close it at the end."""
 
     @abstractmethod
     def fingerprint(self, options: RunOptions) -> Mapping[str, Any]:
-        """Return all that must stay the same for a run to go on, as JSON.
+        """Return the settings that must not change when a run resumes, as JSON.
 
-        A run whose fingerprint does not name `iterations` may go on to more of them after it was cut off.
+        An interrupted run may resume with more iterations if its fingerprint does not include `iterations`.
         """
 
     @abstractmethod
     def words(self, point: IterationMetrics) -> float | str:
-        """Return a success rate, or words, on how an iteration went."""
+        """Return a success rate or a message that summarises an iteration."""
 
     def should_stop(self, curve: Sequence[IterationMetrics]) -> bool:  # noqa: ARG002 - for those that override it
-        """Return whether learning ends before all iterations are done."""
+        """Return whether to stop before all iterations are done."""
         return False
 
     def check(self, folder: Path, result: Mapping[str, Any]) -> None:  # noqa: B027 - most have nothing to check
-        """Refuse a finished run whose files were changed.
+        """Check that nobody changed the files of a finished run.
 
         Raises:
-            CtrlRlError: Names the file.
+            CtrlRlError: A file was changed; the message names it.
         """
 
 
 def find_method(methods: Mapping[str, Any], name: str, error: type[Exception] = LearningError) -> Any:
-    """Return a method of a package's table.
+    """Return a method from a package's table by its name.
 
     Raises:
         Exception: `error`, if the table has no such method.
@@ -107,7 +107,7 @@ def find_method(methods: Mapping[str, Any], name: str, error: type[Exception] = 
 
 
 class _Point(Schema):
-    """What a curve says of an iteration: the learner's own words, and these."""
+    """Schema of a curve's point: the learner's own figures, and the fields below."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)
 
@@ -116,7 +116,7 @@ class _Point(Schema):
 
 
 class Progress(Schema):
-    """What a checkpoint says of a run, besides what its learner keeps for itself."""
+    """Progress of a run in its checkpoint, apart from the learner's own state."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -132,33 +132,33 @@ class Progress(Schema):
 
 
 class Finished(Progress):
-    """What a finished run leaves."""
+    """Content of a finished run's result file."""
 
     cpu_seconds: float = 0.0
 
 
 def result_file(folder: Path, run: Run) -> Path:
-    """Return the file that says that a run is finished, and how it went."""
+    """Return the path of a run's result file, which exists once the run is finished."""
     return folder / run.name / "result.json"
 
 
 def read_result(file: Path) -> dict[str, Any]:
-    """Return what a finished run left, see `result_file`: at least its `run` and its `curve`.
+    """Return the content of a run's `result_file`, with at least `run` and `curve`.
 
     Raises:
-        LearningError: the file is damaged.
+        LearningError: The file is damaged.
     """
-    with raise_as(LearningError, file, "is not what a finished run leaves: delete it to have it learnt again"):
+    with raise_as(LearningError, file, "is not the result of a finished run: delete it to train the run again"):
         result: dict[str, Any] = read_json(file)
         Finished.model_validate(result)
     return result
 
 
 def check_same(file: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Refuse a file of a run that was another one.
+    """Check that a run's file was written with the current settings.
 
     Raises:
-        LearningError: names the first difference.
+        LearningError: A setting differs; the message names the first one.
     """
     for name, value in now.items():
         if before.get(name) != value:

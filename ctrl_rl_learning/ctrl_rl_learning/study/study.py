@@ -1,9 +1,9 @@
-"""A study: long work in steps, each of which is done once, however often the work is cut off.
+"""A study: long work in steps, each done only once even if the work is interrupted.
 
     study = Study(Path("runs/mine"))
-    found = study.once("first", lambda: {"success": drive_for_an_hour()})     # read from first.json from then on
+    found = study.once("first", lambda: {"success": drive_for_an_hour()})     # later calls read first.json
 
-Many seeds of a learner are a study of their own kind, see `matrix.run_experiments`.
+For many seeds of a learner see `matrix.run_experiments`.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from ctrl_rl_learning.errors import LearningError
 
 
 class Study:
-    """Results of the steps in a folder.
+    """Step results of a study, stored in a folder.
 
     Args:
-        folder: Folder of the study, made when the first step is done.
+        folder: Folder of the study, created when the first step finishes.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def once(self, name: str, work: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the result of a step, as JSON: of an earlier call, or else worked out now.
+        """Return the result of a step, as JSON: stored by an earlier call, or computed now.
 
         Args:
-            name: Name of the step; its result is in NAME.json of the folder.
-            work: Does the step; may leave the file itself, as another process does.
+            name: Name of the step; NAME.json in the folder holds its result.
+            work: Function that does the step; it may write the file itself, e.g. from another process.
 
         Raises:
             LearningError: The file of an earlier call is damaged.
@@ -45,12 +45,12 @@ class Study:
             result = work()
             if not file.exists():
                 atomic_write(file, json.dumps(with_digest(dict(result))))
-        with raise_as(LearningError, file, "delete it to have the step done again"):
+        with raise_as(LearningError, file, "delete it to repeat the step"):
             found: dict[str, Any] = read_json(file)
         return found
 
     def rounds(self, count: int, work: Callable[[int, Path], Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-        """Yield the results of rounds 0 to `count`, each in a folder of its own, which `work` is told."""
+        """Yield the results of rounds 0 to `count`; `work` gets each round's number and its own folder."""
         for number in range(count + 1):
             name = f"round_{number}"
             yield self.once(f"{name}/result", lambda number=number, name=name: work(number, self.folder / name))  # type: ignore[misc]

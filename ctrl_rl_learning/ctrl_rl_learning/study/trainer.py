@@ -1,4 +1,4 @@
-"""The training loop of every method: it keeps checkpoints and may be interrupted at any time.
+"""The training loop of every method, with checkpoints, interruptible at any time.
 
 result = train(run, RunOptions(Path("runs/mine"), iterations=10, samples=10240))
 
@@ -23,18 +23,18 @@ from ctrl_rl_learning.study.curves import Curves
 from ctrl_rl_learning.study.run import Progress, Run, RunOptions, Trainer, check_same, read_result, result_file
 
 UNUSABLE = (OSError, CtrlRlError, ValueError, LookupError, RuntimeError, TypeError, AttributeError)
-"""Errors of a checkpoint that is damaged, or belongs to another learner."""
+"""Exceptions that a damaged checkpoint, or one of another learner, may raise."""
 AnyRun = TypeVar("AnyRun", bound=Run)
 Report = Callable[[AnyRun, int, float | str], None]
-"""Called with a run and its progress, as `run.ProgressCallback`."""
+"""Called with a run and its progress, as in `run.ProgressCallback`."""
 
 
 def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: None) -> dict[str, Any]:
     """Train a run, resuming an interrupted one; a finished run is read, not trained again.
 
-    The run's folder then holds result.json, whose content is returned, the curves (see `curves`), and the files that
-    `Trainer.finish` writes. A finished run keeps no checkpoint, since a replay buffer makes it large; so a finished
-    run cannot be extended.
+    The run's folder then holds result.json (the returned content), the curves (see `curves`) and the files that
+    `Trainer.finish` writes. A finished run cannot be extended: it keeps no checkpoint, which a replay buffer would make
+    large.
 
     Args:
         run: Run to train.
@@ -42,14 +42,14 @@ def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: 
         report: Called after each iteration, and when a run is resumed.
 
     Returns:
-        `run` (its fingerprint), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures that
-        `Trainer.finish` returned, and `cpu_seconds` of all of it.
+        `run` (its fingerprint), `curve` (figures of each iteration, with `seconds` and `cpu_seconds`), the figures from
+        `Trainer.finish`, and the total `cpu_seconds`.
 
     Raises:
         LearningError: The folder holds another run, a different number of iterations, or a damaged file.
-        CtrlRlError: The learner refuses.
+        CtrlRlError: The learner fails.
     """
-    import torch  # takes seconds: not before a command's options are right
+    import torch  # takes seconds: wait until the command's options are valid
 
     torch.set_num_threads(1)
     terms = json.loads(json.dumps(run.fingerprint(options)))
@@ -60,8 +60,8 @@ def train(run: AnyRun, options: RunOptions, report: Report[AnyRun] = lambda *_: 
         done = len(result["curve"])
         if done != options.iterations and "iterations" not in terms:
             raise LearningError(
-                f"{finished}: is finished with {done} iterations and kept no checkpoint: ask for {done} again, or use "
-                f"another folder or delete {finished.parent} to learn {options.iterations} from the start"
+                f"{finished}: finished with {done} iterations and kept no checkpoint: ask for {done} again, or use "
+                f"another folder or delete {finished.parent} to train {options.iterations} from the start"
             )
     else:
         result = _learn(run, options, terms, finished, report)
@@ -82,7 +82,7 @@ def _learn(
             curve = progress.curve
             if len(curve) > options.iterations:
                 raise LearningError(
-                    f"{checkpoint}: has {len(curve)} iterations already: ask for no fewer, or delete it to begin anew"
+                    f"{checkpoint}: already has {len(curve)} iterations: ask for no fewer, or delete it to start over"
                 )
             report(run, len(curve), run.words(curve[-1]))
         with Curves(finished.parent, curve) as curves:
@@ -104,10 +104,10 @@ def _learn(
 
 
 def _load(learning: Trainer, checkpoint: Path) -> Progress:
-    with raise_as(LearningError, checkpoint, "cannot go on from it, delete it to begin anew"):
+    with raise_as(LearningError, checkpoint, "cannot resume from it: delete it to start over"):
         try:
             return Progress.model_validate(learning.load(checkpoint))
         except (ValidationError, OSError):
             raise
         except UNUSABLE as error:
-            raise LearningError(f"is of another learner ({type(error).__name__}: {error})") from None
+            raise LearningError(f"belongs to another learner ({type(error).__name__}: {error})") from None

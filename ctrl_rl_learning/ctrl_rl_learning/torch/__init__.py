@@ -1,4 +1,4 @@
-"""Replay, and the state of networks and optimisers as files."""
+"""Networks, replay buffer, optimisation, and checkpoints of networks and optimisers."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""Named arrays in a file, whole or not at all, and the state of networks and optimisers as such arrays."""
+"""Atomic files of named arrays, and the state of networks and optimisers as such arrays."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ _HEADER_KEY = "checkpoint"
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
-    """Write arrays, and a header that is JSON."""
+    """Write arrays and a JSON header to a file."""
     atomic_write(path, encode_tensors(arrays, _HEADER_KEY, header))
 
 
 def load_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return arrays and header.
+    """Return the arrays and the header of a file.
 
     Raises:
-        FileError, ValidationError, OSError: `save_arrays` did not write it, or not so; see `file_checks.raise_as`.
+        FileError, ValidationError, OSError: `save_arrays` did not write the file, or it is damaged; see
+            `file_checks.raise_as`.
     """
     header, arrays, _ = read_tensors(path, _HEADER_KEY, largest=None, types=tuple(TYPES))
     return arrays, header
@@ -34,7 +35,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def state_arrays(networks: Mapping[str, torch.nn.Module], optimizers: Mapping[str, torch.optim.Optimizer]) -> Arrays:
-    """Return the arrays; names of optimisers hold no dots."""
+    """Return the state of networks and optimisers as arrays; optimiser names must not contain dots."""
     arrays: Arrays = {}
     for prefix, network in networks.items():
         arrays |= {f"{prefix}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
@@ -49,10 +50,10 @@ def restore_state(
     optimizers: Mapping[str, torch.optim.Optimizer],
     arrays: Mapping[str, NDArray[Any]],
 ) -> None:
-    """Bring networks and optimisers to where `state_arrays` found them.
+    """Restore networks and optimisers from the arrays of `state_arrays`.
 
     Raises:
-        RuntimeError: the arrays are of other networks.
+        RuntimeError: The arrays belong to other networks.
     """
     for prefix, network in networks.items():
         network.load_state_dict(_part(arrays, f"{prefix}."))

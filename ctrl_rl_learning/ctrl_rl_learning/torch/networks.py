@@ -1,4 +1,4 @@
-"""Networks of policies and critics; a policy's network is that of its file, before it learns and after."""
+"""Networks of policies and critics; a policy has the same network in its file and during training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Vector = NDArray[np.float32]
 
 
 def make_mlp(inputs: int, hidden: int, outputs: int, *, normalized: bool = False) -> nn.Sequential:
-    """Return a network of two hidden layers with ReLU, after a layer norm where `normalized`."""
+    """Return a network with two hidden ReLU layers, each with layer normalisation if `normalized`."""
     layers: list[nn.Module] = []
     width = inputs
     for _ in range(2):
@@ -40,13 +40,13 @@ def linear_arrays(layers: Iterable[nn.Module]) -> tuple[tuple[Vector, ...], tupl
 def new_actor(
     interface: PolicyManifest, hidden: int, middle: Vector | None = None, unit: Vector | None = None
 ) -> Actor:
-    """Return an untrained policy with two hidden layers; torch's generator draws its weights.
+    """Return an untrained policy with two hidden layers and weights drawn from torch's generator.
 
     Args:
         interface: Observation and commands.
         hidden: Units of each hidden layer.
-        middle: Observation that becomes 0 (n,); 0 unless given.
-        unit: Distance above it that becomes 1 (n,); 1 unless given.
+        middle: Observation that maps to 0 (n,); 0 by default.
+        unit: Offset from `middle` that maps to 1 (n,); 1 by default.
     """
     weights, biases = linear_arrays(make_mlp(interface.size, hidden, 2))
     return Actor(
@@ -64,7 +64,7 @@ def new_actor(
 
 
 class ActorNetwork(nn.Module):
-    """The network of an actor: observations (N, n) in the network's units to actions (N, 2) in [-1, 1]."""
+    """Network of an actor, from observations (N, n) in the network's units to actions (N, 2) in [-1, 1]."""
 
     def __init__(self, actor: Actor) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class ActorNetwork(nn.Module):
         return torch.tanh(x) if self._actor.squashed else x + (x.clamp(-1.0, 1.0) - x).detach()
 
     def to_actor(self, manifest: Mapping[str, Any]) -> Actor:
-        """Return the policy as it stands, with more in its manifest."""
+        """Return the current policy with entries added to its manifest."""
         return replace(
             self._actor,
             weights=tuple(each.detach().numpy().copy() for each in self.weights),
@@ -94,12 +94,12 @@ class ActorNetwork(nn.Module):
 
 
 def widen(actor: Actor, interface: PolicyManifest, units: Vector) -> Actor:
-    """Return an actor of an interface that observes more at its end; until it learns, it does what it did.
+    """Return an actor with components appended to its observation; its commands stay the same until it learns.
 
     Args:
-        actor: Actor of the shorter observation.
-        interface: Interface of the longer one.
-        units: Distance above 0 that becomes 1, of each number that is added (added,).
+        actor: Actor for the shorter observation.
+        interface: Interface with the longer observation.
+        units: Value that maps to 1, for each added component (added,).
     """
     added = np.zeros((len(actor.weights[0]), len(units)), np.float32)
     return replace(
@@ -112,7 +112,7 @@ def widen(actor: Actor, interface: PolicyManifest, units: Vector) -> Actor:
 
 
 class Critics(nn.Module):
-    """Two critics of observations (N, n) and actions (N, 2), side by side, with layer norms against overestimation."""
+    """Twin critics of observations (N, n) and actions (N, 2), with layer normalisation against overestimation."""
 
     def __init__(self, inputs: int, hidden: int, actions: int = 2) -> None:
         super().__init__()
@@ -125,5 +125,5 @@ class Critics(nn.Module):
         return self.first(given).squeeze(-1), self.second(given).squeeze(-1)
 
     def minimum(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Return the lesser of both values (N,)."""
+        """Return the smaller of both values (N,)."""
         return torch.minimum(*self(observations, actions))

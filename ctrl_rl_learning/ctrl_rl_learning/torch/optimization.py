@@ -1,4 +1,4 @@
-"""Steps of optimisers, their learning rates, and target networks that follow."""
+"""Optimiser steps, learning-rate schedules and target-network updates."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def gradient_step(
     *clipped: Iterable[nn.Parameter],
     largest_norm: float = math.inf,
 ) -> None:
-    """Go down losses by one step, with one backward pass.
+    """Take one optimiser step on the losses, with one backward pass.
 
     Args:
         optimizers: Optimiser of the parameters, or several.
-        losses: Loss, a single number, or several.
-        clipped: Parameters of each network whose gradient is cut to a norm.
-        largest_norm: Norm that each of these gradients is cut to.
+        losses: Scalar loss, or several.
+        clipped: Parameters of each network whose gradient norm is clipped.
+        largest_norm: Maximum norm of each of these gradients.
     """
     each = (optimizers,) if isinstance(optimizers, torch.optim.Optimizer) else optimizers
     for optimizer in each:
@@ -34,14 +34,14 @@ def gradient_step(
 
 
 def anneal_lr(optimizers: Iterable[torch.optim.Optimizer], rate: float, done: float) -> None:
-    """Set the learning rate when a part of all updates is done, 0 to 1: it falls along a half cosine to 0."""
+    """Set the learning rate on a half-cosine schedule to 0, given the fraction of updates done (0 to 1)."""
     for optimizer in optimizers:
         for group in optimizer.param_groups:
             group["lr"] = 0.5 * (1.0 + math.cos(math.pi * done)) * rate
 
 
 def polyak_update(target: nn.Module, source: nn.Module, share: float) -> None:
-    """Move a target network by a share of the way to its source."""
+    """Move a target network towards its source by a fraction of the difference."""
     with torch.no_grad():
         for slow, fast in zip(target.parameters(), source.parameters(), strict=True):
             slow.lerp_(fast, share)

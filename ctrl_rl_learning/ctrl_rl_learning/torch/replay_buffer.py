@@ -1,4 +1,4 @@
-"""A ring of samples that are learnt from again and again."""
+"""Replay buffer of samples."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class ReplayBuffer:
-    """The latest rows of named columns; the oldest go where there is no room.
+    """Ring buffer of rows with named columns; new rows overwrite the oldest once it is full.
 
     Args:
-        capacity: Largest number of rows.
-        columns: Columns of `capacity` rows; made from the first rows unless given.
+        capacity: Maximum number of rows.
+        columns: Columns of `capacity` rows; created from the first rows by default.
     """
 
     def __init__(self, capacity: int, columns: Arrays | None = None) -> None:
@@ -28,7 +28,7 @@ class ReplayBuffer:
         return min(self.seen, self.capacity)
 
     def add(self, rows: Mapping[str, NDArray[Any]]) -> None:
-        """Keep rows (N, ...), by column."""
+        """Add rows (N, ...), by column."""
         count = len(next(iter(rows.values())))
         places = (self.seen + np.arange(count)) % self.capacity
         for name, part in rows.items():
@@ -38,7 +38,7 @@ class ReplayBuffer:
         self.seen += count
 
     def draw(self, count: int, generator: np.random.Generator) -> Arrays:
-        """Return rows (count, ...) by column, each as likely as any other."""
+        """Return rows (count, ...) by column, drawn uniformly with replacement."""
         places = generator.integers(len(self), size=count)
         return {name: column[places] for name, column in self.columns.items()}
 
@@ -48,11 +48,11 @@ class ReplayBuffer:
         return {name: column[order] for name, column in self.columns.items()}
 
     def arrays(self) -> Arrays:
-        """Return everything, for a checkpoint."""
+        """Return the buffer's content, for a checkpoint."""
         return {"seen": np.array([self.seen])} | {name: column[: len(self)] for name, column in self.columns.items()}
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take up what `arrays` returned."""
+        """Restore the content that `arrays` returned."""
         self.seen = int(arrays["seen"][0])
         for name, part in arrays.items():
             if name != "seen":

@@ -1,4 +1,4 @@
-"""The critics of TD3 and both target networks (Fujimoto, van Hoof, Meger 2018), for all that climb a learnt critic."""
+"""Critics and target networks of TD3 (Fujimoto, van Hoof, Meger 2018), for every learner that uses them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ctrl_rl_learning.torch.networks import ActorNetwork, Critics
 from ctrl_rl_learning.torch.optimization import gradient_step, polyak_update
 
 TAU = 0.005
-"""Share by which a target network follows at an update."""
+"""Polyak step of the target networks per update."""
 _NOISE, _NOISE_LIMIT, _DELAY = 0.2, 0.5, 2
 
 
 class Td3:
-    """Two critics that learn from targets of slower networks; the actor's turn is every other update.
+    """Twin critics that learn from target networks, with an actor update after every other critic update.
 
     Args:
         actor: Policy, from observations (N, n) to actions (N, m).
@@ -26,8 +26,8 @@ class Td3:
 
     Attributes:
         target_actor: Policy averaged over its last updates.
-        target_critics: Critics averaged over theirs.
-        updates: Number of updates of the critics so far.
+        target_critics: Critics averaged over their last updates.
+        updates: Number of critic updates so far.
     """
 
     def __init__(self, actor: ActorNetwork, critics: Critics, optimizer: torch.optim.Optimizer) -> None:
@@ -36,9 +36,9 @@ class Td3:
         self.updates = 0
 
     def targets(self, rewards: Tensor, discounts: Tensor, next_observations: Tensor, actions: Tensor) -> Tensor:
-        """Return rewards (N,) and the discounted value of what follows, by the target networks.
+        """Return the targets (N,): rewards plus the discounted value of the next observations by the target networks.
 
-        The target's actions have noise of the shape of `actions` (N, m), so that the critics are smooth.
+        Noise on the target actions, shaped like `actions` (N, m), smooths the critics.
         """
         with torch.no_grad():
             noise = (_NOISE * torch.randn_like(actions)).clamp(-_NOISE_LIMIT, _NOISE_LIMIT)
@@ -46,7 +46,7 @@ class Td3:
             return rewards + discounts * self.target_critics.minimum(next_observations, ahead)
 
     def learn(self, first: Tensor, second: Tensor, targets: Tensor, penalty: Tensor | float = 0.0) -> Tensor:
-        """Move both critics' values (N,) towards targets (N,), and return the loss."""
+        """Update both critics, whose values are given (N,), towards targets (N,); return the loss."""
         loss = mse_loss(first, targets) + mse_loss(second, targets) + penalty
         gradient_step(self._optimizer, loss)
         self.updates += 1
@@ -54,11 +54,11 @@ class Td3:
 
     @property
     def actors_turn(self) -> bool:
-        """Whether the actor improves after this update."""
+        """Whether the actor is updated after this critic update."""
         return self.updates % _DELAY == 0
 
     def follow(self, *, actor: bool = True) -> None:
-        """Let the target networks follow, that of the actor only where it has learnt."""
+        """Update the target networks, the actor's only if `actor` is set."""
         polyak_update(self.target_critics, self._critics, TAU)
         if actor:
             polyak_update(self.target_actor, self._actor, TAU)

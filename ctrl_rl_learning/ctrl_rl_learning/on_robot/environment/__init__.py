@@ -1,1 +1,1 @@
-"""The environment, without ROS: steps of a clock, operator, rewards and the Gymnasium interface."""
+"""The ROS-free part of the environment: step clock, operator, rewards and the Gymnasium interface."""

@@ -1,4 +1,4 @@
-"""The reward of a step on a robot: seconds of progress by the time to reach, and what the task pays at the end."""
+"""Step rewards on a robot: progress in the time to reach [s], plus the task's terminal reward."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _POSE = ("x", "y", "theta")
 
 
 class StateReader:
-    """Reads the state of a task's system from sensors: x, y and theta from the pose, all else from odometry."""
+    """Reads a system's state from sensors: x, y and theta from the pose, everything else from odometry."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._places = [(row, _POSE.index(name)) for row, name in enumerate(names) if name in _POSE]
@@ -28,7 +28,7 @@ class StateReader:
             LearningError: There is no pose.
         """
         if sensors.pose is None:
-            raise LearningError("no pose: which part of the way is done is unknown")
+            raise LearningError("no pose: progress towards the goal is unknown")
         state = np.array(self._odometry(sensors.odometry), dtype=np.float64)
         for row, place in self._places:
             state[row] = sensors.pose[place]
@@ -36,14 +36,14 @@ class StateReader:
 
 
 class StepReward:
-    """Rewards of an episode: the seconds by which each step brings the goal nearer, and the task's at its end."""
+    """Rewards of an episode: the decrease of the time to reach in each step [s], and the task's terminal reward."""
 
     def __init__(self, task: NavigationTask, value: TimeToReach) -> None:
-        """Make the reward of a task.
+        """Create the reward of a task.
 
         Args:
-            task: Task with the rewards of the outcomes.
-            value: Time to reach of the task's goal.
+            task: Task, which defines the reward of each outcome.
+            value: Time to reach the task's goal.
         """
         self._rewards, self._value = task.rewards, value
         self._progress = Progress(value.longest)

@@ -1,4 +1,4 @@
-"""What an environment asks of a robot, real or simulated."""
+"""The interface of a robot, real or simulated, as the environment uses it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class StepEnd(NamedTuple):
 
     Attributes:
         sensors: Last scan, odometry, pose and goal.
-        outcome: Outcome of the episode by the simulator or the operator; None where nobody says, and the pose decides.
-        late_scans: Number of scans of the step that were too old on arrival, or out of order.
+        outcome: Outcome that the simulator or the operator reported; None if neither did, and the pose decides.
+        late_scans: Number of scans in the step that were too old on arrival or out of order.
     """
 
     sensors: Sensors
@@ -30,9 +30,9 @@ class Driven(NamedTuple):
     """The commands of a step.
 
     Attributes:
-        command: Mean of the commands that were sent to the filter, by time (2,).
-        operator: Part of the time in which the operator drove.
-        changed: Part of the filter's answers that were not the raw command.
+        command: Time-weighted mean of the commands sent to the filter (2,).
+        operator: Fraction of the time in which the operator drove.
+        changed: Fraction of the filter's outputs that differed from the raw command.
     """
 
     command: Array
@@ -47,25 +47,25 @@ class Robot(Protocol):
         """Return the time on the robot's clock [s]."""
 
     def begin(self, seed: int) -> StepEnd:
-        """Bring the robot to a start and return its reading; a simulator draws the start from the seed.
+        """Reset the robot to a start and return its reading; a simulator draws the start from the seed.
 
         Raises:
             LearningError: The robot, its simulator or its safety filter does not answer.
         """
 
     def drive(self, command: Array, until: float) -> Driven:
-        """Send a command (2,) until a time on the robot's clock [s]; an operator's commands go before it.
+        """Send a command (2,) until a time on the robot's clock [s]; an operator's commands take precedence.
 
         Raises:
             LearningError: The robot, its simulator or its safety filter does not answer.
         """
 
     def read(self) -> StepEnd:
-        """Return what the robot senses.
+        """Return the sensor readings.
 
         Raises:
-            LearningError: A part of it is missing.
+            LearningError: A reading is missing.
         """
 
     def stand(self) -> None:
-        """Let the robot stand."""
+        """Stop the robot."""

@@ -19,11 +19,11 @@ _ROUNDING_S = 1e-6
 
 
 class StepTiming(NamedTuple):
-    """The time that a step took.
+    """Timing of one step.
 
     Attributes:
-        duration: Time from the step's begin to its end [s].
-        late: Time by which it ended after it was due [s].
+        duration: Time from the start of the step to its end [s].
+        late: Delay of the end after the due time [s].
         missed: Number of whole steps that passed without a decision.
     """
 
@@ -33,14 +33,14 @@ class StepTiming(NamedTuple):
 
 
 class StepClock:
-    """Steps of equal length on the robot's clock.
+    """Clock of equally long steps in the robot's time.
 
-    A step that ends a little late leaves the next one less time, so that steps do not drift. After a missed step the
-    next one begins anew: what was lost is not made up by short steps.
+    A step that ends slightly late shortens the next one, so that steps do not drift. After a missed step the clock
+    restarts from the current time instead of catching up with short steps.
 
     Attributes:
         period: Length of a step [s].
-        due: Time at which the present step ends [s].
+        due: Time at which the current step ends [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -53,14 +53,14 @@ class StepClock:
         self._begun, self.due = now, now + self.period
 
     def end(self, now: float) -> StepTiming:
-        """End the present step at a time [s] and begin the next one.
+        """End the current step at a time [s] and begin the next one.
 
         Raises:
             LearningError: The clock was set back.
         """
         duration = now - self._begun
         if duration < 0.0:
-            raise LearningError(f"the clock went back by {-duration:.3f} s: was the simulator started anew?")
+            raise LearningError(f"the clock went back by {-duration:.3f} s: was the simulator restarted?")
         late = max(now - self.due, 0.0)
         missed = int((late + _ROUNDING_S) / self.period)
         self.due = now + self.period if missed else self.due + self.period
@@ -73,32 +73,32 @@ _FENCE_M = 0.5
 
 
 class RobotEnv(gymnasium.Env[Vector, Vector]):
-    """One robot that drives a task behind its safety filter, in the time of its own clock.
+    """One robot that drives a task behind its safety filter, timed by the robot's clock.
 
-    Observation: what the policy node builds of the same interface. Action: [-1, 1] for each command, mapped to the
-    interface's limits. An episode ends at the goal, by a collision or in a trap (as simulator, operator or pose say),
-    and is cut after the task's steps (`TIMEOUT`) or outside of
-    the arena, corridor or map ("FENCE").
+    Observation: the same vector as the policy node builds from the interface. Action: [-1, 1] for each command, mapped
+    to the interface's limits. An episode terminates at the goal, in a collision or in a trap, as reported by simulator
+    or operator or as the pose shows. It is truncated after the task's number of steps (`TIMEOUT`) or outside the arena,
+    corridor or map ("FENCE").
 
-    Info of each step: `action` (2,), as sent to the filter on average, the operator's included; `operator`, the part
-    of the step that the operator drove; `changed`, the part of the filter's answers that were another command;
+    Info of each step: `action` (2,), the mean action sent to the filter, the operator's included; `operator`, the
+    fraction of the step that the operator drove; `changed`, the fraction of commands that the filter changed;
     `duration`, `late` [s] and `missed` steps of the clock; `age` of the scan [s]; `late_scans`; `outcome`, a name of
-    ctrl_rl_core.Outcome, or "FENCE".
+    ctrl_rl_core.Outcome or "FENCE".
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
     def __init__(self, robot: Robot, task: NavigationTask, interface: PolicyManifest, reward: StepReward) -> None:
-        """Make the environment.
+        """Create the environment.
 
         Args:
-            robot: Robot that is driven.
-            task: Task with goal, arena and length of an episode.
+            robot: Robot to drive.
+            task: Task with goal, arena and episode length.
             interface: Observation and commands of the policy.
             reward: Reward of each step.
 
         Raises:
-            LearningError: The interface is not one of a robot on wheels.
+            LearningError: The interface is not for a wheeled robot.
         """
         if interface.robot != "differential_drive" or interface.action.choices is not None:
             raise LearningError("only policies with commands v and omega learn on a robot")
@@ -119,7 +119,7 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         return self._clock.period
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Vector, dict[str, Any]]:
-        """Bring the robot to a start: a simulator draws it from the seed, else the operator does it.
+        """Reset the robot to a start, which a simulator draws from the seed or an operator chooses.
 
         Raises:
             LearningError: The robot, its simulator or its safety filter does not answer.
@@ -133,10 +133,10 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         return self._observe(reading.sensors), {"age": reading.sensors.age, "outcome": Outcome.RUNNING.name}
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Drive by an action (2,) until the step is over.
+        """Apply an action (2,) until the step ends.
 
         Raises:
-            LearningError: The robot, its simulator or its safety filter does not answer; the robot was told to stand.
+            LearningError: The robot, its simulator or its safety filter does not answer; the robot is stopped first.
         """
         share = 0.5 * (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0)
         try:
@@ -163,11 +163,11 @@ class RobotEnv(gymnasium.Env[Vector, Vector]):
         return self._observe(reading.sensors), reward, terminated, truncated and not terminated, info
 
     def close(self) -> None:
-        """Let the robot stand."""
+        """Stop the robot."""
         self._robot.stand()
 
     def _inside(self, state: NDArray[np.float64]) -> bool:
-        """Return whether the robot is within the task's walls, or near them: odometry drifts."""
+        """Return whether the robot is within the task's walls, with a margin for the drift of odometry."""
         return all(
             side.low - _FENCE_M <= place <= side.high + _FENCE_M
             for side, place in zip(self._bounds, state[:2], strict=True)

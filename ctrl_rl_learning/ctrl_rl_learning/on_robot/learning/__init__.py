@@ -1,1 +1,1 @@
-"""Fine-tuning of a policy from few steps."""
+"""Sample-efficient fine-tuning of a policy."""

@@ -1,7 +1,8 @@
-"""A policy of any kind as a network that can learn: what it does in the simulator, cloned.
+"""Clone a policy of any kind into a trainable network, by imitating it in the simulator.
 
-First the policy drives, with some noise; then the clone does, and the policy says at each scan what it would do (Ross,
-Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning", 2011).
+The policy drives first, with some noise. Then the clone drives, and the policy labels each scan with its own command.
+Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning"
+(AISTATS 2011).
 """
 
 from __future__ import annotations
@@ -37,19 +38,20 @@ Vectors = NDArray[np.float32]
 ROUNDS, EPISODES = 4, 6
 _UPDATES, _LAST_UPDATES = 400, 2000
 _NOISE = 0.3
-"""Noise of the first round, as a part of half the range of each command: the clone learns the way back."""
+"""Noise of the first round, as a fraction of half the range of each command, so that the clone learns to recover."""
 _PATIENCE = 5.0
-"""Time for which a robot stands before its episode is given up [s]."""
+"""Time without motion after which an episode is aborted [s]."""
 
 
 class Clone(NamedTuple):
-    """A network that does what a policy does.
+    """Network that imitates a policy.
 
     Attributes:
         actor: The network, as a policy.
-        scans: Number of scans that it learnt from.
-        error: Mean difference of its commands from the policy's in drives of its own (2,) [m/s, rad/s].
-        arrived: Number of these drives, of `EPISODES`, that reached the goal.
+        scans: Number of scans in its training data.
+        error: Mean difference between the clone's and the policy's commands in the clone's own drives (2,)
+            [m/s, rad/s].
+        arrived: Number of the clone's last `EPISODES` drives that reached the goal.
     """
 
     actor: Actor
@@ -59,7 +61,7 @@ class Clone(NamedTuple):
 
 
 class _Labeller:
-    """Drives by a function of an observation (n,) and the policy's command (2,), and keeps both."""
+    """Driver that follows a function of observation (n,) and the policy's command (2,), and stores both."""
 
     def __init__(self, policy: Policy, interface: PolicyManifest) -> None:
         self._policy, self._observe = policy, ObservationBuilder(interface)
@@ -68,11 +70,11 @@ class _Labeller:
         self.wanted: list[Array] = []
 
     def drive_by(self, student: Student) -> None:
-        """Let a student drive."""
+        """Make a student drive from now on."""
         self.act = lambda seen, _wanted: student.command(seen)
 
     def command(self, sensors: Sensors) -> Array:
-        """Return the command (2,); that of rest where the policy gives none."""
+        """Return the command (2,); a zero command if the policy gives none."""
         try:
             wanted = np.clip(self._policy.command(sensors), *self._policy.limits)
         except CtrlRlError:
@@ -83,16 +85,16 @@ class _Labeller:
 
 
 def clone(policy: Policy, task: NavigationTask, seed: int, tell: Callable[[int], object] = lambda _: None) -> Clone:
-    """Return a network that drives as a policy does in a task.
+    """Return a network that imitates a policy in a task.
 
     Args:
-        policy: Policy of any kind for a robot on wheels.
-        task: Task that it drives in the planar engine; a corridor's width is drawn.
+        policy: Policy of any kind for a wheeled robot.
+        task: Task to drive in the planar engine; a corridor's width is drawn at random.
         seed: Seed of starts, noise and network.
-        tell: Told the number of episodes since the last call, of `ROUNDS` times `EPISODES`.
+        tell: Progress callback; receives the number of new episodes, `ROUNDS` * `EPISODES` in total.
 
     Raises:
-        LearningError: The policy is not one of a robot on wheels, or gives no command in this task.
+        LearningError: The policy is not for a wheeled robot, or gives no command in this task.
     """
     if policy.robot != "differential_drive":
         raise LearningError("only policies with commands v and omega learn on a robot")
@@ -114,7 +116,9 @@ def clone(policy: Policy, task: NavigationTask, seed: int, tell: Callable[[int],
                 arrived += driven.outcome == Outcome.GOAL.name
                 tell(1)
             if not labeller.seen:
-                raise LearningError(f"the policy gives no command in task '{task.name}': is it for another one?")
+                raise LearningError(
+                    f"the policy gives no command in task '{task.name}': was it trained on another task?"
+                )
             seen, wanted = np.array(labeller.seen), np.array(labeller.wanted, np.float32)
             if student is None:
                 torch.manual_seed(seed)
@@ -132,7 +136,7 @@ def clone(policy: Policy, task: NavigationTask, seed: int, tell: Callable[[int],
 
 
 def _limited(interface: PolicyManifest, policy: Policy) -> PolicyManifest:
-    """Return the interface with the policy's own limits and period."""
+    """Return the interface with the policy's own command limits and period."""
     low, high = (limit.tolist() for limit in policy.limits)
     action = interface.action.model_copy(update={"low": low, "high": high})
     return interface.model_copy(update={"action": action, "period": policy.period or interface.period})

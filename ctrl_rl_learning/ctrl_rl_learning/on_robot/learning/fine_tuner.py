@@ -1,7 +1,7 @@
-"""Fine-tuning of a policy from few steps: TD3 with several updates a step, near the policy that it began with.
+"""Sample-efficient fine-tuning: TD3 with several updates per step that stays close to the initial policy.
 
-The first steps teach the critics alone. Then the actor climbs them, held to what the first policy would have done by a
-weight that fades, and to what the operator did wherever he took over.
+The first steps train the critics alone. Then the actor maximises the critics' value under two penalties: one for
+deviating from the initial policy, with a decaying weight, and one for deviating from the operator's take-over commands.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ class TuneSettings:
     """Settings of fine-tuning.
 
     Attributes:
-        updates: Number of updates of the critics for each step of the robot.
-        first_updates: Number of updates of the critics alone before the actor begins to learn.
-        first_steps: Number of steps before that.
-        noise: Standard deviation of the exploration, in actions.
-        discount: Discount of a step of the usual length.
-        batch: Steps in an update.
+        updates: Number of critic updates per robot step.
+        first_updates: Number of critic updates before the actor starts to learn.
+        first_steps: Number of steps before the first critic update.
+        noise: Standard deviation of the exploration noise, in actions.
+        discount: Discount of a step of nominal length.
+        batch: Batch size, in steps.
         hidden: Units of each hidden layer of the critics.
         actor_rate: Learning rate of the actor.
         critic_rate: Learning rate of the critics.
-        hold: Weight that holds the actor to the first policy, when it begins to learn.
+        hold: Weight of the penalty for deviating from the initial policy, when the actor starts to learn.
         hold_at_last: The same weight after `fading` steps.
-        fading: Number of steps in which that weight fades.
+        fading: Number of steps over which the weight decays.
     """
 
     updates: int = 5
@@ -59,20 +59,20 @@ class TuneSettings:
 
 
 class FineTuner:
-    """A policy that learns from a replay of steps.
+    """Learner that improves a policy from a replay buffer of robot steps.
 
     Attributes:
-        settings: Settings of learning.
-        replay: Every step that the robot made, as it was driven, the operator's included.
+        settings: Settings of fine-tuning.
+        replay: Every step of the robot with the action as driven, the operator's steps included.
     """
 
     def __init__(self, actor: Actor, settings: TuneSettings, capacity: int, seed: int) -> None:
-        """Begin with a policy.
+        """Create the learner.
 
         Args:
-            actor: Policy to begin with.
-            settings: Settings of learning.
-            capacity: Largest number of steps that are kept.
+            actor: Initial policy.
+            settings: Settings of fine-tuning.
+            capacity: Maximum number of stored steps.
             seed: Seed of networks and batches.
         """
         torch.manual_seed(seed)
@@ -99,15 +99,15 @@ class FineTuner:
         discount: float,
         by_operator: bool,
     ) -> None:
-        """Remember a step; observations are in SI units.
+        """Add a step to the replay buffer; observations are in SI units.
 
         Args:
-            observation: Observation before (n,).
-            action: Action as it was driven (2,).
+            observation: Observation before the step (n,).
+            action: Action as driven (2,).
             reward: Reward of the step.
-            next_observation: Observation after (n,).
-            discount: Discount of what followed: less after a longer step, 0 where the episode ended.
-            by_operator: Whether the operator drove a part of the step.
+            next_observation: Observation after the step (n,).
+            discount: Discount of the next value: smaller after a longer step, 0 at the end of an episode.
+            by_operator: Whether the operator drove during part of the step.
         """
         row = {
             "seen": self._scaled(observation),
@@ -120,7 +120,7 @@ class FineTuner:
         self.replay.add({name: np.asarray(value, np.float32)[None] for name, value in row.items()})
 
     def learn(self, steps: int, random: np.random.Generator) -> dict[str, float]:
-        """Learn after so many new steps, and return the mean losses of the updates; nothing where there were none."""
+        """Update for a number of new steps, and return the mean losses; empty if there was no update."""
         settings = self.settings
         if len(self.replay) < settings.first_steps:
             return {}
@@ -132,11 +132,11 @@ class FineTuner:
         return {name: float(np.mean(each)) for name, each in losses.items()}
 
     def to_actor(self, manifest: Mapping[str, Any]) -> Actor:
-        """Return the policy, averaged over its last updates, with more in its manifest."""
+        """Return the policy, averaged over its last updates, with entries added to its manifest."""
         return self._td3.target_actor.to_actor(manifest)
 
     def arrays(self) -> dict[str, Any]:
-        """Return all that learning goes on from."""
+        """Return the learner's state, for a checkpoint."""
         return {
             **state_arrays(self._networks(), self._optimizers()),
             **{f"{_REPLAY}{name}": column for name, column in self.replay.in_order().items()},
@@ -144,10 +144,10 @@ class FineTuner:
         }
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint.
+        """Restore the state from a checkpoint.
 
         Raises:
-            KeyError, RuntimeError, ValueError: It is of another policy.
+            KeyError, RuntimeError, ValueError: The checkpoint belongs to another policy.
         """
         restore_state(self._networks(), self._optimizers(), arrays)
         rows = {name.removeprefix(_REPLAY): rows for name, rows in arrays.items() if name.startswith(_REPLAY)}

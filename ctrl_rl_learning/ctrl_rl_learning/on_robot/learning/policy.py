@@ -1,4 +1,4 @@
-"""The interface of a policy that also observes how it moves, and the policy to fine-tune, from a file of any kind."""
+"""Load the policy to fine-tune from a file of any kind, and add the robot's motion to its observation."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _MOTION = (
 
 
 def with_motion(interface: PolicyManifest) -> PolicyManifest:
-    """Return the interface with speed, turn rate and the last command after the other observations.
+    """Return the interface with speed, turn rate and the last command appended to the observation.
 
-    A command that takes effect only after the next decision, or through slow motors, is a part of the robot's state:
-    a policy that does not know it cannot tell what its next command will do.
+    With a delay longer than one decision, or with slow motors, the last command is part of the robot's state: a policy
+    that does not observe it cannot predict the effect of its next command.
     """
     content = interface.model_dump(exclude_defaults=True)
     content["observation"] = [*content["observation"], *_MOTION]
@@ -45,10 +45,10 @@ def read_policy(name: str, motion: bool) -> tuple[Actor, PolicyManifest]:
 
     Args:
         name: Name of a shipped policy, or a file.
-        motion: Whether it is to observe its speeds and its last command, too.
+        motion: Whether to add speeds and last command to its observation.
 
     Raises:
-        PolicyError, LearningError: There is no such policy, or it does not say what it observes.
+        PolicyError, LearningError: There is no such policy, or its file does not describe its observation.
     """
     return _with_interface(Actor.load(find_policy(name)), name, motion)
 
@@ -56,15 +56,15 @@ def read_policy(name: str, motion: bool) -> tuple[Actor, PolicyManifest]:
 def read_or_clone(
     name: str, motion: bool, task: NavigationTask, seed: int, folder: Path, tell: Callable[[str], object] = print
 ) -> tuple[Actor, PolicyManifest]:
-    """Return a policy to fine-tune and its interface; one of another kind than a network's is cloned.
+    """Return a policy to fine-tune and its interface; clone it first if it is not a trainable network.
 
     Args:
-        name: Name of a shipped policy, or a file: of a Koopman policy or an ONNX model, too.
-        motion: Whether it is to observe its speeds and its last command, too.
-        task: Task in whose simulator it is cloned.
+        name: Name of a shipped policy, or a file, including Koopman policies and ONNX models.
+        motion: Whether to add speeds and last command to its observation.
+        task: Task in whose simulator the policy is cloned.
         seed: Seed of the clone.
-        folder: Folder in which the clone is kept.
-        tell: Takes lines about the clone.
+        folder: Folder to write the clone to.
+        tell: Callback for progress lines about the clone.
 
     Raises:
         PolicyError, LearningError: There is no such policy, or it cannot be cloned.
@@ -92,7 +92,7 @@ def read_or_clone(
 
 def _with_interface(actor: Actor, name: str, motion: bool) -> tuple[Actor, PolicyManifest]:
     if actor.interface is None:
-        raise LearningError(f"{name} does not say what it observes: write it anew with `export` of its package")
+        raise LearningError(f"{name} does not describe its observation: write it again with `export` of its package")
     if motion and not actor.interface.observes("command"):
         interface = with_motion(actor.interface)
         span = 0.5 * (actor.high - actor.low)

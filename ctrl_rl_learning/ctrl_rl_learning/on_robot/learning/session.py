@@ -1,4 +1,4 @@
-"""A session on the robot: episodes, learning between them, a checkpoint after each, and tests at the end."""
+"""A fine-tuning session on the robot: episodes, learning and a checkpoint after each, and tests at the end."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from ctrl_rl_learning.torch.checkpoints import load_arrays, save_arrays
 
 Vector = NDArray[np.float32]
 REWARD_SCALE = 0.01
-"""Every reward is multiplied by it before learning."""
+"""Factor that multiplies every reward before learning."""
 _SEEDS_APART = 100_000
 TEST_SEED = 1_000_000
 _WANDER = 0.7
-"""Part of the exploration that stays from step to step."""
+"""Correlation of the exploration noise between consecutive steps."""
 
 
 @dataclass
 class EpisodeLog:
-    """What happened in an episode.
+    """Summary of one episode.
 
     Attributes:
-        outcome: Name of its outcome; "FENCE" where the robot left the arena.
+        outcome: Name of the outcome; "FENCE" if the robot left the arena.
         steps: Number of steps.
         seconds: Time that the robot drove [s].
         missed: Number of missed steps.
-        late: Longest lateness of a step [s].
-        age: Largest age of a scan [s].
-        late_scans: Number of scans that came too late or out of order.
+        late: Maximum delay of a step [s].
+        age: Maximum age of a scan [s].
+        late_scans: Number of scans that arrived too late or out of order.
         operator: Number of steps in which the operator drove.
-        changed: Mean part of the commands that the safety filter changed.
+        changed: Mean fraction of the commands that the safety filter changed.
         total: Undiscounted return.
         losses: Mean losses of the updates after the episode, by name.
     """
@@ -59,11 +59,11 @@ class EpisodeLog:
     losses: dict[str, float] = field(default_factory=dict)
 
     def point(self) -> dict[str, Any]:
-        """Return the episode as a point of the curves."""
+        """Return the episode as a point of the learning curves."""
         return {**asdict(self), "evaluation": float(self.outcome == Outcome.GOAL.name), "return": self.total}
 
     def add(self, reward: float, info: Mapping[str, Any]) -> None:
-        """Add a step by its reward and its info."""
+        """Add a step, given its reward and info."""
         self.total += reward
         self.changed += (info["changed"] - self.changed) / (self.steps + 1)
         self.outcome, self.steps, self.seconds = info["outcome"], self.steps + 1, self.seconds + info["duration"]
@@ -73,52 +73,52 @@ class EpisodeLog:
 
 
 class Session:
-    """Fine-tuning of one policy on one robot.
+    """Fine-tuning session of one policy on one robot.
 
     Attributes:
-        episodes: Logs of the episodes so far.
+        episodes: Logs of all episodes so far.
     """
 
     def __init__(
         self, environment: RobotEnv, tuner: FineTuner, folder: Path, seed: int, terms: Mapping[str, Any]
     ) -> None:
-        """Go on where a checkpoint in the folder ends.
+        """Create the session, resuming from a checkpoint if the folder has one.
 
         Args:
             environment: Environment of the robot.
             tuner: Policy that learns.
             folder: Folder of checkpoint and policies.
             seed: Seed of starts and exploration.
-            terms: Settings that a checkpoint must share, as JSON.
+            terms: Settings that a checkpoint must match, as JSON.
 
         Raises:
-            LearningError: The checkpoint is damaged, or was begun with other settings.
+            LearningError: The checkpoint is damaged, or belongs to different settings.
         """
         self._environment, self._tuner, self._folder, self._seed = environment, tuner, folder, seed
         self._terms = dict(terms)
         self._checkpoint = folder / "checkpoint.safetensors"
         self.episodes: list[EpisodeLog] = []
         if self._checkpoint.exists():
-            with raise_as(LearningError, self._checkpoint, "delete it to begin anew"):
+            with raise_as(LearningError, self._checkpoint, "delete it to start over"):
                 arrays, header = load_arrays(self._checkpoint)
                 if header.get("terms") != self._terms:
-                    raise LearningError(f"was begun with other settings, {header.get('terms')}: give another --folder")
+                    raise LearningError(f"belongs to different settings, {header.get('terms')}: give another --folder")
                 try:
                     tuner.restore(arrays)
                     self.episodes = [EpisodeLog(**each) for each in header["episodes"]]
                 except (KeyError, RuntimeError, TypeError, ValueError) as error:
-                    raise LearningError(f"is of another policy ({type(error).__name__})") from None
+                    raise LearningError(f"belongs to another policy ({type(error).__name__})") from None
 
     @property
     def seconds(self) -> float:
-        """Time that the robot has driven so far [s]."""
+        """Driving time so far [s]."""
         return sum(each.seconds for each in self.episodes)
 
     def learn(self, seconds: float, tell: Callable[[EpisodeLog], object]) -> None:
-        """Drive and learn until the robot has driven for so long [s], and finish the episode then.
+        """Drive and learn until the driving time is reached [s], then finish the current episode.
 
         Raises:
-            LearningError: The robot does not answer; the checkpoint holds all episodes before.
+            LearningError: The robot does not answer; the checkpoint holds all earlier episodes.
         """
         if self.seconds >= seconds:
             return
@@ -135,7 +135,7 @@ class Session:
                 tell(log)
 
     def test(self, episodes: int, tell: Callable[[EpisodeLog], object]) -> list[EpisodeLog]:
-        """Return episodes of the policy as it stands, without exploration; the starts are the same for all."""
+        """Return test episodes of the current policy without exploration; every policy gets the same starts."""
         actor = self._tuner.to_actor({})
         out = []
         for number in range(episodes):
@@ -147,7 +147,7 @@ class Session:
         return out
 
     def save_policy(self) -> None:
-        """Write policy.safetensors, which the policy node drives by."""
+        """Write policy.safetensors for the policy node."""
         told = {"fine_tuned": {"seconds": self.seconds, "episodes": len(self.episodes)}}
         self._tuner.to_actor(told).save(self._folder / "policy.safetensors")
 
@@ -176,7 +176,7 @@ class Session:
 
 
 class _Explorer:
-    """The policy with some noise, which stays for a few steps: single steps hardly move a robot."""
+    """Policy with noise that persists for a few steps, since noise in single steps hardly moves a robot."""
 
     def __init__(self, tuner: FineTuner, random: np.random.Generator) -> None:
         self._tuner, self._random, self._noise = tuner, random, np.zeros(2)

@@ -1,1 +1,1 @@
-"""The robot on topics: what it senses, what it is told, and who tells it."""
+"""ROS side of learning on a robot: the node for sensors and commands, and the robots built on it."""

@@ -1,4 +1,4 @@
-"""The node between an environment and a robot: sensors in, raw commands out, an operator, and the filter's word."""
+"""The node between an environment and a robot: sensors in, raw commands out, operator take-over, filter status."""
 
 from __future__ import annotations
 
@@ -43,27 +43,27 @@ _TOLD = "safety_filter/status"
 
 
 class LearningNode(RobotNode):
-    """Drives a robot for an environment, by raw commands for the safety filter.
+    """Node that drives a robot for an environment by sending raw commands to the safety filter.
 
-    Subscribes to scan, odom, goal_pose, episode, safety_filter/status, cmd_vel_operator, joy and what the parameter
-    `pose` names; publishes cmd_vel_raw and ~/taken_over. Services: ~/ready (the operator has put the robot back) and
-    ~/finish (the operator ends the episode: true at the goal, false by a collision).
+    Subscribes to scan, odom, goal_pose, episode, safety_filter/status, cmd_vel_operator, joy and the pose topic that
+    the parameter `pose` names; publishes cmd_vel_raw and ~/taken_over. Services: ~/ready (the operator has put the
+    robot back) and ~/finish (the operator ends the episode: true at the goal, false after a collision).
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         *SCAN_PARAMETERS,
-        Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
+        Parameter("scan_timeout", 0.5, "Age of scan or odometry above which the robot stops [s].", 0.05, 10.0),
         *POSE_PARAMETERS,
-        Parameter("operator_timeout", 0.5, "Age of an operator's command that no longer counts [s].", 0.05, 10.0),
-        Parameter("joy_button", 4, "Button that the operator holds to take over by joystick.", 0, 100),
-        Parameter("joy_speed_axis", 1, "Axis of the joystick for the speed.", 0, 100),
-        Parameter("joy_turn_axis", 0, "Axis of the joystick for the turn rate.", 0, 100),
+        Parameter("operator_timeout", 0.5, "Age above which an operator's command expires [s].", 0.05, 10.0),
+        Parameter("joy_button", 4, "Joystick button that the operator holds to take over.", 0, 100),
+        Parameter("joy_speed_axis", 1, "Joystick axis for the speed.", 0, 100),
+        Parameter("joy_turn_axis", 0, "Joystick axis for the turn rate.", 0, 100),
     )
 
     robot: LidarRobot
 
     def __init__(self, interface: PolicyManifest) -> None:
-        """Make the node for a policy's interface."""
+        """Create the node for a policy's interface."""
         super().__init__(NAME)
         low, high = np.array(interface.action.low), np.array(interface.action.high)
         self.robot = robot = LidarRobot(self)
@@ -100,16 +100,16 @@ class LearningNode(RobotNode):
             raise LearningError(f"commands would go to {topic} past the safety filter: remap cmd_vel to {RAW}")
 
     def is_filtered(self) -> bool:
-        """Return whether a safety filter takes the raw commands and tells what it does with them."""
+        """Return whether a safety filter receives the raw commands and publishes its status."""
         return self.robot.output.publisher.get_subscription_count() > 0 and self.count_publishers(_TOLD) > 0
 
     def hold(self, command: Array) -> None:
-        """Send a command (2,) now and again with each scan, unless the operator drives."""
+        """Send a command (2,) now and repeat it with each scan, unless the operator drives."""
         self._driving, self._wanted = True, command
         self.send()
 
     def send(self) -> None:
-        """Send the operator's command, or else the one that is held."""
+        """Send the operator's command if there is one, else the held command."""
         if not self._driving:
             return
         taken = self.operator.command(self.robot.now())
@@ -122,27 +122,27 @@ class LearningNode(RobotNode):
         self._tally.sent(self.robot.now(), self._last, taken is not None)
 
     def rest(self) -> None:
-        """Stand until the next command is held."""
+        """Stop until the next call of `hold`."""
         self._driving, self._wanted, self._last = False, np.zeros(2), np.zeros(2)
         self.robot.drive(self._last)
 
     def begin_step(self, now: float) -> None:
-        """Count anew from a time [s]."""
+        """Restart the step statistics at a time [s]."""
         self._tally = Tally(now, self._last)
 
     def end_step(self, now: float) -> Driven:
-        """Return the commands since `begin_step`, and publish whether the operator gave any."""
+        """Return the commands since `begin_step`, and publish whether the operator took over."""
         driven = self._tally.end(now)
         self._taken_over.publish(Bool(data=driven.operator > 0.0))
         return driven
 
     def begin_episode(self, episode: int | None) -> None:
-        """Take the simulator's outcomes of an episode by its number from now on; None where no simulator judges."""
+        """Accept the simulator's outcomes only for this episode number; None if no simulator reports outcomes."""
         self.episode, self.ready = episode, False
         self.outcome = None if episode is None else Outcome.RUNNING
 
     def reading(self, now: float) -> StepEnd:
-        """Return what the robot senses; the age of the scan is that at a time of the clock of its stamps [s].
+        """Return the sensor readings, with the scan's age at the time `now` on the clock of its stamps [s].
 
         Raises:
             LearningError: An input is missing, stale or unusable.
@@ -170,35 +170,35 @@ class LearningNode(RobotNode):
 
     @property
     def held(self) -> Array:
-        """The last command that was sent (2,)."""
+        """Last command sent (2,)."""
         return self._last
 
     @property
     def odometry_stamp(self) -> float:
-        """Time stamp of the last odometry [s]; -inf before the first one."""
+        """Stamp of the last odometry message [s]; -inf before the first one."""
         return self._odometry_stamp
 
     @property
     def stamp(self) -> float:
-        """Time stamp of the last scan [s]; -inf before the first one."""
+        """Stamp of the last scan [s]; -inf before the first one."""
         return -math.inf if self._scan is None else self._scan[2]
 
     def _stale_scan(self) -> str:
-        """Return why what is kept allows no motion: it must be fresh, not what comes."""
+        """Return why the stored scan is too old to drive by, or an empty string if it is fresh."""
         if self._scan is None or self.robot.now() - self._kept_at <= self.robot.timeout:
             return ""
         return f"no recent scan to drive by: {self._scan_fault or 'all are out of order'}"
 
     def _take_odometry(self, message: Odometry, odometry: Array) -> None:
-        """Keep it for the next reading."""
+        """Store the odometry for the next reading."""
         self._odometry, self._odometry_stamp = odometry, seconds(message.header.stamp)
         self._poses.on_odometry(message, self.robot.frame)
 
     def _take_scan(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Keep the newest scan, and send the command that is held again.
+        """Store the newest scan and resend the held command.
 
-        A scan from the future is not kept: all that follow would seem late. One that was kept, before a simulator began
-        anew, makes room for the first of the new time.
+        A scan from the future is dropped, because all later scans would then seem late. After a simulator restart the
+        first scan with a new stamp replaces the stored one.
         """
         stamp, clock = seconds(message.header.stamp), self.get_clock().now().nanoseconds * 1e-9
         ahead = clock > 0.0 and stamp - clock > self.robot.timeout
@@ -210,7 +210,7 @@ class LearningNode(RobotNode):
         self.send()
 
     def status(self) -> Status:
-        """Return whether commands flow, and who gives them."""
+        """Return whether commands are sent, and who gives them."""
         level, message, figures = super().status()
         taken = self.operator.command(self.robot.now()) is not None
         return level, message, {**figures, "taken over": str(taken).lower(), "refused": self.operator.refused}

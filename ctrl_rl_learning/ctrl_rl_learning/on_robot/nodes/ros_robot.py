@@ -1,4 +1,4 @@
-"""A robot on topics as an environment drives it: in real time, with resets by its operator or by a simulator."""
+"""A robot over ROS topics for the environment: in real time, reset by its operator or by a simulator."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from ctrl_rl_msgs.srv import ResetWorld
 
 Array = NDArray[np.float64]
 PATIENCE_S = 10.0
-"""Wall time for which an input may be missing before an episode is given up [s]."""
+"""Wall time for which an input may be missing before the episode is aborted [s]."""
 _SLOWER = 6.0
-"""A safety filter may take longer by this factor to begin: it compiles its sets then."""
+"""Factor by which a safety filter may take longer at start-up, when it compiles its sets."""
 _SPIN_S = 0.02
 
 
 class Ros:
-    """Takes messages for a node, and waits for things to happen."""
+    """Executor of a node that spins until a condition holds."""
 
     def __init__(self, node: LearningNode, patience: float = PATIENCE_S) -> None:
-        """Serve a node.
+        """Create the executor of a node.
 
         Args:
             node: Node of the robot.
-            patience: Wall time for which an answer may be missing before an episode is given up [s].
+            patience: Wall time to wait for an answer before the episode is aborted [s].
         """
         self.node, self.patience = node, patience
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
 
     def spin(self, seconds: float = _SPIN_S) -> None:
-        """Handle one message, or wait for so long [s]."""
+        """Handle one message, or wait at most the given time [s]."""
         self._executor.spin_once(timeout_sec=seconds)
 
     def until(
@@ -48,10 +48,10 @@ class Ros:
         patience: float | None = None,
         wait: Callable[[], object] | None = None,
     ) -> None:
-        """Return once something is true; `wait` lets time pass in place of `spin`.
+        """Return once the condition `done` holds; `wait` replaces `spin` to pass the time.
 
         Raises:
-            LearningError: It was not true in so much wall time [s]; `what` says what was missing.
+            LearningError: The condition did not hold within `patience` of wall time [s]; `what` names what is missing.
         """
         patience = self.patience if patience is None else patience
         deadline = time.monotonic() + patience
@@ -61,38 +61,38 @@ class Ros:
             (wait or self.spin)()
 
     def call(self, client: Any, request: Any) -> Any:
-        """Return the response of a service.
+        """Call a service and return its response.
 
         Raises:
-            LearningError: There is none.
+            LearningError: The service is missing or does not answer.
         """
         self.until(client.service_is_ready, f"no simulator: the service {client.srv_name} is missing")
         future = client.call_async(request)
-        self.until(future.done, f"no answer of {client.srv_name}")
+        self.until(future.done, f"no answer from {client.srv_name}")
         return future.result()
 
     def close(self) -> None:
-        """Send the last zero, and end the node."""
+        """Send a final zero command and shut the node down."""
         self.node.stop()
         self._executor.shutdown()
         self.node.destroy_node()
 
 
 class Starts(Protocol):
-    """A way to bring the robot to a start."""
+    """How the robot is reset to a start."""
 
     def begin(self, seed: int) -> None:
-        """Bring it there, and tell the node which episode it is."""
+        """Reset the robot and set the node's episode number."""
 
 
 class OperatorStarts:
-    """Starts by an operator, who puts the robot back and calls the service ~/ready."""
+    """Resets by an operator, who puts the robot back and calls the service ~/ready."""
 
     def __init__(self, ros: Ros, say: Callable[[str], object]) -> None:
         self._ros, self._say = ros, say
 
     def begin(self, _seed: int) -> None:
-        """Wait for the operator, for as long as it takes; the robot stands."""
+        """Stop the robot and wait for the operator without a time limit."""
         node = self._ros.node
         node.begin_episode(None)
         self._say(f"put the robot at its start, then: ros2 service call /{NAME}/ready std_srvs/srv/Trigger")
@@ -101,7 +101,7 @@ class OperatorStarts:
 
 
 class SimulatorStarts:
-    """Starts that a simulator draws from seeds."""
+    """Resets by a simulator, which draws the start from a seed."""
 
     def __init__(self, ros: Ros, simulator: str = "sim_bridge") -> None:
         self._ros = ros
@@ -120,17 +120,17 @@ class SimulatorStarts:
 
 
 class RosRobot:
-    """A robot in the time of its own clock: real time, or whatever a simulator makes of it."""
+    """Robot timed by its own clock: real time or the simulator's time."""
 
     def __init__(self, ros: Ros, starts: Starts) -> None:
         self._ros, self._starts = ros, starts
 
     def now(self) -> float:
-        """Return steady time, or the simulator's [s]."""
+        """Return steady time or the simulator's time [s]."""
         return self._ros.node.robot.now()
 
     def begin(self, seed: int) -> StepEnd:
-        """Bring the robot to a start; it stands until the filter has answered and all inputs are fresh."""
+        """Reset the robot to a start; keep it still until the filter has answered and all inputs are fresh."""
         node = self._ros.node
         self._ros.until(
             node.is_filtered, f"no safety filter takes {RAW}: start it, see --help; none", self._ros.patience * _SLOWER
@@ -142,7 +142,7 @@ class RosRobot:
         self.advance(self.now())
         self._ros.until(lambda: node.scans > scans, "no scan")
         self.await_inputs()
-        self._ros.until(lambda: node.status_of_filter is not None, "no word of the safety filter")
+        self._ros.until(lambda: node.status_of_filter is not None, "no answer from the safety filter")
         node.begin_step(self.now())
         return self.read()
 
@@ -152,7 +152,7 @@ class RosRobot:
         node.begin_step(self.now())
         node.hold(command)
         self.advance(until)
-        self.await_inputs()  # where it has to wait the robot stands: what follows is a missed step
+        self.await_inputs()  # the robot stands still while this waits; the time counts as a missed step
         return node.end_step(self.now())
 
     def advance(self, until: float) -> None:
@@ -171,20 +171,20 @@ class RosRobot:
             if node.status_of_filter is not word:
                 heard, word = wall, node.status_of_filter
             if wall - moved > self._ros.patience:
-                raise LearningError("the clock stands still: has the simulator ended, or been paused?")
+                raise LearningError("the clock stands still: has the simulator ended or been paused?")
             if wall - heard > self._ros.patience:
-                raise LearningError("the safety filter is silent: nothing is driven without it")
+                raise LearningError("the safety filter is silent: the robot does not drive without it")
 
     def read(self) -> StepEnd:
-        """Return what the robot senses, as soon as all inputs are usable; that time is a part of the next step."""
+        """Return the sensor readings once all inputs are usable; the waiting time belongs to the next step."""
         self.await_inputs()
         return self._ros.node.reading(self.stamp_now())
 
     def await_inputs(self) -> None:
-        """Let time pass until scan and odometry are usable.
+        """Wait until scan and odometry are usable.
 
         Raises:
-            LearningError: They do not become so.
+            LearningError: They remain unusable.
         """
         node = self._ros.node
         problem = node.robot.input_fault()
@@ -196,9 +196,9 @@ class RosRobot:
         self._ros.spin()
 
     def stamp_now(self) -> float:
-        """Return the time that a message would be stamped with now [s]."""
+        """Return the current time on the clock of message stamps [s]."""
         return float(self._ros.node.get_clock().now().nanoseconds) * 1e-9
 
     def stand(self) -> None:
-        """Let the robot stand."""
+        """Stop the robot."""
         self._ros.node.rest()

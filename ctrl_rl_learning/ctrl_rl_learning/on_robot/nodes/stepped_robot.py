@@ -1,4 +1,4 @@
-"""A simulated robot whose time stands still while nobody drives: the bridge is stepped, the filter answers."""
+"""A simulated robot that pauses while nothing drives: this code steps the bridge and waits for the safety filter."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ctrl_rl_learning.on_robot.nodes.ros_robot import Ros, RosRobot, Starts
 from ctrl_rl_msgs.srv import StepWorld
 
 SLICE_S = 0.1
-"""Simulated time between two answers of the safety filter [s]; its control_period must be a little longer."""
+"""Simulated time between two outputs of the safety filter [s]; the filter's control_period must be a little longer."""
 _REPEAT_S = 0.01
 _ENOUGH_S = 0.5
-"""Wall time after which an answer to the command before will do: the new one then counts a slice later [s]."""
+"""Wall time after which an answer to the previous command is accepted [s]; the new command then acts a slice later."""
 _ROUNDING_S = 1e-4
 
 
 class SteppedRobot(RosRobot):
-    """A robot of a paused bridge.
+    """Robot of a paused simulator bridge.
 
-    Each slice of time ends when scan and odometry of its end are here, and when the filter has answered the command
-    that was sent then. How fast the computer is does not matter.
+    A time slice ends once its last scan and odometry have arrived and the filter has answered the command sent at that
+    time. Results therefore do not depend on the speed of the computer.
     """
 
     def __init__(self, ros: Ros, starts: Starts, simulator: str = "sim_bridge") -> None:
-        """Take hold of the simulator's time."""
+        """Pause the simulator and take over its clock."""
         super().__init__(ros, starts)
         self._time = 0.0
         self._step = ros.node.create_client(StepWorld, f"{simulator}/step")
@@ -36,35 +36,35 @@ class SteppedRobot(RosRobot):
         ros.call(self._pause, SetBool.Request(data=True))
 
     def now(self) -> float:
-        """Return the time of the simulator after the last slice [s]."""
+        """Return the simulator time after the last slice [s]."""
         return self._time
 
     def stamp_now(self) -> float:
-        """Return the same time: that of the simulator."""
+        """Return the simulator time, which is also used for stamps [s]."""
         return self._time
 
     def release(self) -> None:
-        """Let the simulator's time run again."""
+        """Let the simulator run freely again."""
         self._ros.call(self._pause, SetBool.Request(data=False))
 
     def advance(self, until: float) -> None:
-        """Step the simulator to a time [s]; at least one slice where it is not known yet."""
+        """Step the simulator to a time [s], or by at least one slice if the simulator time is still unknown."""
         while True:
             self._slice(SLICE_S if until <= self._time else min(SLICE_S, until - self._time))
             if self._time >= until - _ROUNDING_S:
                 return
 
     def _pass_time(self) -> None:
-        """Step the simulator: time that stands brings no fresh inputs.
+        """Step the simulator, because a paused simulator sends no fresh inputs.
 
-        They are too old where one came before the clock's first word, or where this process was held up for seconds.
+        Inputs are too old if one arrived before the first clock message or if this process stalled for seconds.
         """
         self._slice(SLICE_S)
 
     def _slice(self, duration: float) -> None:
         response = self._ros.call(self._step, StepWorld.Request(duration=duration))
         if not response.success:
-            raise LearningError(f"the simulator cannot be stepped: {response.message}")
+            raise LearningError(f"the simulator did not step: {response.message}")
         self._time = seconds(response.stamp)
         node, wanted = self._ros.node, self._time - _ROUNDING_S
         oldest = self._time - 0.5 * SLICE_S
@@ -78,13 +78,13 @@ class SteppedRobot(RosRobot):
             self._ros.spin(_REPEAT_S)
             now = time.monotonic()
             if now - begun > self._ros.patience:
-                raise LearningError("the safety filter is silent: nothing is driven without it")
-            if now - sent > _REPEAT_S:  # the filter's clock may have been behind when the command came
+                raise LearningError("the safety filter is silent: the robot does not drive without it")
+            if now - sent > _REPEAT_S:  # the filter's clock may have lagged when the command arrived
                 sent = now
                 node.send()
 
     def _answered(self, time_: float, any_command: bool) -> bool:
-        """Return whether the filter has answered the command that holds, or any, at a time [s]."""
+        """Return whether the filter has answered the current command, or any command, by a time [s]."""
         status, command = self._ros.node.status_of_filter, self._ros.node.held
         if status is None or seconds(status.header.stamp) < time_:
             return False
