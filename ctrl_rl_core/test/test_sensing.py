@@ -10,6 +10,7 @@ from ctrl_rl_core.sensing.pose import planar
 from ctrl_rl_core.sensing.scan import measured, view_scan
 
 from ctrl_rl_core import (
+    LiveOdometry,
     OdometryError,
     OdometryHealth,
     PoseError,
@@ -35,10 +36,13 @@ def scan(ranges=None, **fields) -> Message:
     return Message(ranges=np.full(360, WALL, np.float32) if ranges is None else ranges, **given)
 
 
-def odometry(position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0)):
+def odometry(
+    position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0), stamp=None
+):
     vectors = [Message(x=v[0], y=v[1], z=v[2]) for v in (position, linear, angular)]
     pose = Message(position=vectors[0], orientation=Message(**dict(zip("xyzw", turn, strict=True))))
-    return Message(pose=Message(pose=pose), twist=Message(twist=Message(linear=vectors[1], angular=vectors[2])))
+    twist = Message(linear=vectors[1], angular=vectors[2])
+    return Message(header=Message(stamp=stamp), pose=Message(pose=pose), twist=Message(twist=twist))
 
 
 @pytest.mark.parametrize(
@@ -199,3 +203,40 @@ def test_a_contradiction_holds_until_the_twist_is_right_again() -> None:
     for stamp in range(5):
         health.update(10**12 + stamp * 10**8, make_odometry(np.zeros(3), np.zeros(3)))
     assert not health.fault
+
+
+def told(live: LiveOdometry, stamp: int, pose: np.ndarray, v: float = 0.0, z: float = 0.0) -> list[float]:
+    """Return forward speed, speed to the left and turn rate that are read from a message."""
+    x, y, yaw = pose
+    turn = (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
+    at = Message(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return live.read(odometry((x, y, z), turn, (v, 0.0, 0.0), stamp=at))[[7, 8, 12]].tolist()
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(("v", "omega"), [(0.2, 0.0), (-0.1, 0.0), (0.0, 1.0)])
+def test_where_every_twist_is_zero_the_pose_tells_the_speeds(v: float, omega: float) -> None:
+    live = LiveOdometry()
+    stamps, poses, _ = drive(v, omega, (0.0, 0.0))
+    speeds = np.array([told(live, *row, v=1e-12) for row in zip(stamps.tolist(), poses, strict=True)])
+    assert speeds[0].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(speeds[1:], np.tile((v, 0.0, omega), (len(stamps) - 1, 1)), atol=1e-6)
+    assert not live.fault
+    assert live.lacks_twist is bool(v)
+    assert told(live, int(stamps[-1]) + 10**8, poses[-1] + (5.0, 5.0, 0.0)) == [0.0, 0.0, 0.0], "another origin"
+
+
+def test_a_twist_that_was_there_is_held_to_the_pose() -> None:
+    live = LiveOdometry()
+    stamps, poses, _ = drive(0.2, 0.0, (0.0, 0.0))
+    assert told(live, int(stamps[0]), poses[0], v=0.2)[0] == 0.2
+    assert [told(live, *row)[0] for row in zip(stamps[1:].tolist(), poses[1:], strict=True)] == [0.0] * 59
+    assert "of which its speeds explain" in live.fault
+    assert not live.lacks_twist
+
+
+def test_a_robot_that_climbs_without_a_twist_is_a_contradiction() -> None:
+    live, stamps = LiveOdometry(), drive(0.0, 0.0, (0.0, 0.0))[0].tolist()
+    for number, stamp in enumerate(stamps):
+        told(live, stamp, np.zeros(3), z=0.01 * number)
+    assert "of which its speeds explain 0.00 m" in live.fault

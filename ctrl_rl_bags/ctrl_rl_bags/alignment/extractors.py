@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from ctrl_rl_core.sensing import lacks_twist, speeds_from_poses
+from ctrl_rl_core.sensing import NO_TWIST, lacks_twist, speeds_from_poses
 from numpy.typing import NDArray
 
 from ctrl_rl_bags.alignment.resampling import Mend
@@ -120,7 +120,7 @@ def fill_twist(poses: Callable[[Array], Array], first: int, places: Mapping[int,
         cuts, at = jumps(times, rows), poses(rows)
         if not lacks_twist(times, at, rows[:, first:], cuts):
             return None
-        tell("its twist is always zero: speeds are those of the pose's motion")
+        tell(NO_TWIST)
         out = rows.copy()
         out[:, list(places)] = speeds_from_poses(times, at, cuts)[:, list(places.values())]
         return out

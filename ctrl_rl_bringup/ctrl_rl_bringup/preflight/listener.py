@@ -21,11 +21,11 @@ from ctrl_rl_bringup.preflight.frames import FrameTree, Link, planar_pose, pose_
 from ctrl_rl_bringup.preflight.recording import Battery, Endpoint, OdometrySample, Recording, ScanSample, Times, Topic
 from ctrl_rl_core import (
     CtrlRlError,
+    LiveOdometry,
     OccupancyMap,
     OdometryError,
     OdometryReader,
     PoseError,
-    read_odometry,
     read_planar_pose,
     read_scan,
 )
@@ -58,7 +58,7 @@ class Listener(Node):
     def __init__(self, unstamped: bool = False, command_topic: str = "cmd_vel") -> None:
         super().__init__("preflight")
         self.heard = Recording(unstamped=unstamped, command_topic=command_topic)
-        self._clock_offset = 0.0
+        self._clock_offset, self._odometry = 0.0, LiveOdometry()
         self.create_subscription(Clock, "/clock", self._on_clock, _ANY)
         self.create_subscription(LaserScan, "scan", self._on_scan, _ANY)
         self.create_subscription(Odometry, "odom", self._on_odometry, _ANY)
@@ -140,7 +140,7 @@ class Listener(Node):
     def _on_odometry(self, message: Odometry) -> None:
         fault = ""
         try:
-            odometry = read_odometry(message)
+            odometry = self._odometry.read(message)
         except OdometryError as error:
             odometry, fault = np.full(len(ODOMETRY_NAMES), np.nan), str(error)
         x, y, yaw, v, omega = _PLANAR(odometry).tolist()

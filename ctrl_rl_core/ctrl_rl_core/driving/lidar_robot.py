@@ -18,8 +18,9 @@ from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, Veloc
 from ctrl_rl_core.driving.drive_safety import DriveSafety, ObstacleStop
 from ctrl_rl_core.ros.node import SENSOR, Status, SuiteNode, nanoseconds
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
-from ctrl_rl_core.sensing.odometry import OMEGA_Z, OdometryError, V, read_odometry
-from ctrl_rl_core.sensing.odometry_health import OdometryHealth
+from ctrl_rl_core.sensing.live_odometry import LiveOdometry
+from ctrl_rl_core.sensing.odometry import OMEGA_Z, OdometryError, V
+from ctrl_rl_core.sensing.pose_speeds import NO_TWIST
 from ctrl_rl_core.sensing.scan import ScanError, ScanGeometry, read_scan
 from ctrl_rl_core.sensing.scan_health import ScanHealth
 
@@ -127,7 +128,7 @@ class LidarRobot(Commander):
         self.on_odometry: Callable[[Odometry, Array], None] = lambda _message, _odometry: None
         self.on_scan: Callable[[LaserScan, Ranges, ScanGeometry], None] = lambda _message, _ranges, _scan: None
         self.fault: Callable[[], str] = lambda: ""
-        self._odometry_fault, self._odometry_health, self._crowd = "", OdometryHealth(), ""
+        self._odometry_fault, self._odometry, self._crowd = "", LiveOdometry(), ""
         self._given_reach = reach
         stop = self._obstacle_stop()
         self.safety = DriveSafety(self._scan_health(), stop, self.settings["lidar_x"], self._reach(stop))
@@ -209,10 +210,9 @@ class LidarRobot(Commander):
         self.use_frame(message.child_frame_id)
         self.note_input("odometry")
         try:
-            odometry = read_odometry(message)
-            contradiction = self._odometry_health.update(nanoseconds(message.header.stamp), odometry)
-            if contradiction:
-                raise OdometryError(contradiction)
+            odometry = self._odometry.read(message)
+            if self._odometry.fault:
+                raise OdometryError(self._odometry.fault)
         except OdometryError as error:
             self._odometry_fault = str(error)
             self.halt(self._odometry_fault, message.header.stamp)
@@ -222,6 +222,8 @@ class LidarRobot(Commander):
 
     def hear_scan(self, message: LaserScan) -> None:
         """Read a scan, update the checks and pass the scan on."""
+        if self._odometry.lacks_twist:
+            self.node.get_logger().warning(f"odometry: {NO_TWIST}", once=True)
         self.scans += 1
         self.note_input("scan")
         ranges, scan = read_scan(message, self.settings["lidar_yaw"])

@@ -22,12 +22,12 @@ from std_srvs.srv import Trigger
 
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.processes.background import Job, start_job
-from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, nanoseconds, ok, warn
+from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError
 from ctrl_rl_core.ros.running import interruptible
 from ctrl_rl_core.ros.value_messages import answer, grid_message, slice_message
-from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader, read_odometry
-from ctrl_rl_core.sensing.odometry_health import OdometryHealth
+from ctrl_rl_core.sensing.live_odometry import LiveOdometry
+from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader
 from ctrl_rl_core.values.value_function import ValueFunction
 from ctrl_rl_core.values.value_grid import ValueGrid
 from ctrl_rl_msgs.msg import StateValue
@@ -64,7 +64,7 @@ class ValueServer(SuiteNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._counts = {"odometry": 0, "outside": 0, "unreachable": 0, "refused": 0}
-        self._fault, self._odometry_health = "", OdometryHealth()
+        self._fault, self._odometry = "", LiveOdometry()
         self._outside, self._foreign, self._heard = False, False, 0.0
         self._grids: dict[str, Publisher] = {}
         self._sampling: Job[tuple[ValueGrid, ...]] = Job()
@@ -172,10 +172,9 @@ class ValueServer(SuiteNode):
         self._counts["odometry"] += 1
         self._heard = time.monotonic()
         try:
-            odometry = read_odometry(message)
-            contradiction = self._odometry_health.update(nanoseconds(message.header.stamp), odometry)
-            if contradiction and self._reader.uses_twist:
-                raise OdometryError(contradiction)
+            odometry = self._odometry.read(message)
+            if self._odometry.fault and self._reader.uses_twist:
+                raise OdometryError(self._odometry.fault)
         except OdometryError as error:
             self._counts["refused"] += 1
             self._fault = str(error)

@@ -3,6 +3,7 @@ from .odometry import OMEGA_Z as OMEGA_Z
 from .odometry import V as V
 from .odometry_health import contradiction as contradiction
 from .pose import planar as planar
+from .pose_speeds import NO_TWIST as NO_TWIST
 from .pose_speeds import lacks_twist as lacks_twist
 from .pose_speeds import speeds_from_poses as speeds_from_poses
 from .scan import DIRECTIONS as DIRECTIONS

@@ -25,8 +25,8 @@ ODOMETRY_NAMES = (
     *("v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
 )
 """Position [m], quaternion, velocity [m/s] and turn rates [rad/s] in the body frame."""
-V, _V_Z, _OMEGA_Y, OMEGA_Z = 7, 9, 11, 12
-"""Indices of the forward speed, the vertical speed, and the turn rates about y and z."""
+V, V_Y, _V_Z, _OMEGA_Y, OMEGA_Z = 7, 8, 9, 11, 12
+"""Indices of the forward speed, the speed to the left, the vertical speed, and the turn rates about y and z."""
 _FASTEST = 1e6
 """Upper bound of any robot's speeds [m/s, rad/s]."""
 _COMPONENTS: Mapping[str, Callable[[Sequence[float], float, float], float]] = {

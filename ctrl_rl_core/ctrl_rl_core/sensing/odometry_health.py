@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _WINDOW = 2.0
 """Window over which pose and twist are compared [s]."""
-_PAUSE = 0.5
+PAUSE = 0.5
 """Interval between stamps beyond which the twist says nothing about the motion [s]."""
 _WAY, _TURN = 0.1, 0.4
 """Minimum distance [m] and rotation [rad] of the pose that the twist must explain; less may be noise."""
@@ -28,7 +28,7 @@ _EXPLAINED = 0.5
 """Fraction of the pose's motion that the twist must explain; wheel slip and drift stay above it."""
 _FEWEST = 4
 """Minimum number of messages in the window for telling a single jump of the pose from motion."""
-_JUMP = 0.3
+JUMP = 0.3
 """Distance beyond the twist's prediction above which the odometry origin has changed [m]."""
 _EVERY = 0.2
 """Interval between comparisons [s]."""
@@ -59,12 +59,12 @@ class OdometryHealth:
         now, before, last = 1e-9 * stamp, self._stamp, self._numbers
         self._stamp, self._numbers = now, odometry.tolist()
         passed = now - before
-        if not 0.0 < passed <= _PAUSE:  # the first message, a repetition, a pause, or an adjusted clock
+        if not 0.0 < passed <= PAUSE:  # the first message, a repetition, a pause, or an adjusted clock
             self._steps.clear()
             self._judged = now
             return self.fault
         moved, told = _moved(last, self._numbers), _told(last, self._numbers, passed)
-        if math.hypot(*moved[:3]) > _JUMP + 2.0 * math.hypot(*told[:3]):
+        if math.hypot(*moved[:3]) > JUMP + 2.0 * math.hypot(*told[:3]):
             self._steps.clear()
             return self.fault
         self._steps.append((now, moved, told))
