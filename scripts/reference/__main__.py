@@ -1,10 +1,8 @@
-"""Writes the reference pages from the code: commands, parameters, topics, messages, schemas, names of Python.
-
-python scripts/reference FOLDER [PAGE...]
-"""
+"""Writes the reference pages from the code: commands, parameters, topics, messages, schemas, names of Python."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -29,10 +27,16 @@ PAGES = {
 
 def main() -> int:
     """Write the pages into the folder that is given: those that are named, or all."""
-    folder = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(prog="python scripts/reference", description=__doc__)
+    parser.add_argument("folder", type=Path, help="folder for the pages")
+    parser.add_argument("page", nargs="*", help=f"pages to write instead of all: {', '.join(PAGES)}")
+    given = parser.parse_args()
+    if unknown := set(given.page) - set(PAGES):
+        parser.error(f"there is no page {', '.join(sorted(unknown))}: there are {', '.join(PAGES)}")
+    folder = given.folder
     folder.mkdir(parents=True, exist_ok=True)
     for name, page in PAGES.items():
-        if sys.argv[2:] and name not in sys.argv[2:]:
+        if given.page and name not in given.page:
             continue
         print(f"reference: {folder / name}", flush=True)
         (folder / name).write_text(page(), encoding="utf-8")
