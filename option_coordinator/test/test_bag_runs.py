@@ -131,7 +131,7 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, recorded, capsys):
         play_into(water, other, Mappo(other.agents, "table").behaviour(0.0), "", 1)
     (tmp_path / "damaged").mkdir()
     for arguments, words in (
-        (["--bags", tmp_path / "water", "--from", start], "is of the team"),
+        (["--bags", tmp_path / "water", "--from", start], "was recorded by another team, of "),
         (["--bags", bag], "give a policy with --from, or a --task"),
         (["--bags", bag, "--from", start, "--task", "water_filling"], "is for other robots"),
         (["--bags", tmp_path / "damaged", "--from", start], "is no bag"),

@@ -102,7 +102,9 @@ def test_bags_tell_what_a_policy_would_earn(bag, tmp_path, capsys):
     assert "12 episodes" in said.out
     assert "not called better: the gain is" in said.err
     assert judge([str(bag), "--policy", "delivery_team"]) == 1
-    assert "the bags are of the team" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "a bag: was recorded by another team, of " in said
+    assert said.count("\n") == 1
     with pytest.raises(CtrlRlError, match="at least 10 are needed"):
         evaluate_offline(found[:3], policy)
 

@@ -25,6 +25,8 @@ from option_coordinator.errors import OptionError
 from option_coordinator.options.options import NONE, Agent, Mask, Observation, option_mask
 
 TYPE = "ctrl_rl_msgs/msg/JointOptionStep"
+_NAMED = 6
+"""Largest number of robots named in an error."""
 
 
 class TeamLayout(NamedTuple):
@@ -45,6 +47,26 @@ class TeamLayout(NamedTuple):
         """Create the layout of these robots."""
         rows = [(agent.name, len(agent.options), agent.observation_size) for agent in agents]
         return cls(*zip(*rows, strict=True))
+
+    def check_against(self, wanted: TeamLayout, where: object) -> None:
+        """Compare this recorded team with the one that a policy or task is for.
+
+        Raises:
+            OptionError: They differ; the message starts with `where` and names the first difference.
+        """
+        if self.names != wanted.names:
+            found, needed = _listed(self.names), _listed(wanted.names)
+            raise OptionError(f"{where}: was recorded by another team, of {found}: decisions of {needed} are needed")
+        for name, options, size, own, needs in zip(*self, *wanted[1:], strict=True):
+            if (options, size) != (own, needs):
+                words = f"robot '{name}' has {options} options and observes {size} numbers, not {own} and {needs}"
+                raise OptionError(f"{where}: was recorded by another team: its {words}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first robots of a team, and the number of others."""
+    rest = f" and {len(names) - _NAMED} others" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + rest
 
 
 @dataclass(frozen=True, eq=False)

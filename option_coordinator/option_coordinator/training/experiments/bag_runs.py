@@ -105,8 +105,7 @@ class BagRun(Run):
         found, team = [], TeamLayout.of(self.agents)
         for bag in self.bags:
             for recording in recordings(bag):
-                if recording.team != team:
-                    raise OptionError(f"{bag}: is of the team {recording.team}, not of {team}")
+                recording.team.check_against(team, bag)
                 found.append(recording)
         return found
 

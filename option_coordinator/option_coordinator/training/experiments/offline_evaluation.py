@@ -78,8 +78,7 @@ def evaluate_offline(
         raise OptionError(f"the bags have {len(recordings)} episodes: at least {_LEAST_EPISODES} are needed")
     team = TeamLayout.of(policy.agents)
     for recording in recordings:
-        if recording.team != team:
-            raise OptionError(f"the bags are of the team {recording.team}, the policy is of {team}")
+        recording.team.check_against(team, "a bag")
     trajectory = OptionTrajectory.joined([recording.trajectory for recording in recordings])
     earned = _returns(trajectory)
     random = np.random.default_rng(seed)
