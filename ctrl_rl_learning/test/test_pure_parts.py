@@ -124,7 +124,7 @@ def test_a_tuner_goes_on_where_it_was_and_refuses_what_is_damaged(tmp_path: Path
         Session(None, made[0], tmp_path, 0, {})
     save_arrays(tmp_path / "checkpoint.safetensors", made[0].arrays(), {"terms": {"seed": 0}, "episodes": []})
     Session(None, made[1], tmp_path, 0, {"seed": 0})
-    with pytest.raises(LearningError, match="begun with other settings"):
+    with pytest.raises(LearningError, match="belongs to different settings"):
         Session(None, made[1], tmp_path, 0, {"seed": 1})
 
 

@@ -1,4 +1,4 @@
-"""Trials that compare: tasks that tell learning methods apart, ways to use a value function, robots and worlds."""
+"""Comparative trials: tasks that discriminate between learning methods, uses of a value function, robots, worlds."""
 
 import lazy_loader as lazy
 

@@ -4,4 +4,4 @@ from ctrl_rl_core import CtrlRlError
 
 
 class TrialError(CtrlRlError):
-    """A benchmark cannot be run as it was asked for."""
+    """A benchmark cannot run as requested."""

@@ -35,14 +35,14 @@ def test_a_world_has_its_cylinders_and_walls_and_what_moves(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("<sdf>", "is no XML"),
-        ("<sdf version='1.6'/>", "is no SDF world"),
+        ("<sdf>", "is not XML"),
+        ("<sdf version='1.6'/>", "is not an SDF world"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]>" + world(), "declares entities"),
-        (world(cylinder("a", 1.0, 2.0, lean=0.5)), "leans"),
+        (world(cylinder("a", 1.0, 2.0, lean=0.5)), "is tilted"),
         (world(cylinder("a", math.nan, 2.0)), "its pose must be 6 numbers"),
         (world(cylinder("a", 1.0, 2.0, radius=-1.0)), "its radius must be 1 positive numbers"),
         (world(cylinder("a", 1.0, 2.0, plugin="../move.so")), "its plugin must be a file name"),
-        (world("<model name='a'><pose>0 0 0 0 0 0</pose></model>"), "has no single cylinder or box"),
+        (world("<model name='a'><pose>0 0 0 0 0 0</pose></model>"), "must have exactly one cylinder or box"),
         (b"\xff\xfe", "is not text"),
     ],
 )
@@ -75,9 +75,9 @@ def test_key_frames_are_read_from_the_code(tmp_path: Path) -> None:
     ("frames", "words"),
     [
         (FRAMES[:1], "1 key frames"),
-        ((FRAMES[0], FRAMES[2], FRAMES[1]), "times must rise"),
-        ((FRAMES[0], (4.0, 50.0, 0.0)), "arena reaches"),
-        ((FRAMES[0], (4.0, math.nan, 0.0)), "arena reaches"),
+        ((FRAMES[0], FRAMES[2], FRAMES[1]), "times must increase"),
+        ((FRAMES[0], (4.0, 50.0, 0.0)), "arena extends"),
+        ((FRAMES[0], (4.0, math.nan, 0.0)), "arena extends"),
         ((), "no key frames"),
     ],
 )

@@ -1,1 +1,1 @@
-"""The BARN and DynaBARN benchmark: its files as tasks, its score, and controllers that drive in it."""
+"""The BARN and DynaBARN benchmarks: their worlds as tasks, their score, and controllers to test on them."""

@@ -1,4 +1,4 @@
-"""Controllers of the benchmark by name, policies among them, and the safety filter below them."""
+"""Controllers for the benchmark by name, including policies, and the safety filter that may follow them."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ Array = NDArray[np.float64]
 
 
 class TransplantedPolicy:
-    """A policy that was learnt for another task, as it is: its goal is put on the goal, and the start beside it.
+    """Unchanged policy from another task; a transform puts that task's goal at the benchmark's goal.
 
-    A policy that asks for no pose drives by its lidar alone.
+    A policy that observes no pose drives by its lidar alone.
     """
 
     def __init__(self, name: str, scenario: Scenario, _: DriveLimits) -> None:
@@ -91,26 +91,26 @@ JACKAL = DriveLimits(
     length=_JACKAL.length,
     width=_JACKAL.width,
 )
-"""A Jackal, a little below its limits."""
+"""Limits of a Jackal, slightly reduced."""
 FILTERED_JACKAL = replace(JACKAL, margin=0.07)
-"""A Jackal above the safety filter, which keeps farther away from what it cannot see exactly."""
+"""Limits of a Jackal with the safety filter, which needs a larger margin to uncertain obstacles."""
 DELAY = 0.1
-"""Time from a command to its effect and until the next one [s]."""
+"""Time from a command to its effect, plus the time until the next command [s]."""
 DECELERATION = _JACKAL.braking
 """Deceleration with which the robot brakes [m/s^2]."""
 TOLERANCE = 0.3
-"""Distance from the goal at which controllers stop [m], well within the benchmark's."""
+"""Distance from the goal at which controllers stop [m], well within the benchmark's tolerance."""
 REACH = 8.0
-"""Distance up to which echoes go on a map [m]."""
+"""Maximum range of echoes that are added to the map [m]."""
 _MAP_MARGIN, _RESOLUTION = 3.0, 0.05
 _PLAN_PERIOD = 0.5
 _SET_PERIOD = 0.1
 _CARROT = 1.0
-"""Distance of the place on the path that the dynamic window steers for [m]."""
+"""Distance along the path to the point that the dynamic window steers for [m]."""
 
 
 class ExplorerDriver:
-    """The navigator without a map."""
+    """Driver that navigates without a map."""
 
     def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
         options = ExplorerOptions(tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION)
@@ -124,7 +124,7 @@ class ExplorerDriver:
 
 
 def navigator_driver(scenario: Scenario, limits: DriveLimits) -> NavigatorDriver:
-    """Return the navigator with a map of the world, on which it is where odometry says."""
+    """Return the navigator with a map of the world, localised by odometry."""
     options = NavigatorOptions(tolerance=TOLERANCE, period=PERIOD, delay=DELAY, deceleration=DECELERATION, inline=True)
     navigator = Navigator(limits, options)
     navigator.set_map(draw_map(scenario.task, scenario.task.build_world()))
@@ -133,7 +133,7 @@ def navigator_driver(scenario: Scenario, limits: DriveLimits) -> NavigatorDriver
 
 
 class DynamicWindowDriver:
-    """The dynamic window as move_base uses it: it follows the shortest path on what has been seen."""
+    """Dynamic-window driver that, as in move_base, follows the shortest path on the map built so far."""
 
     def __init__(self, scenario: Scenario, limits: DriveLimits) -> None:
         self._window, self._limits, self._goal = DynamicWindow(limits), limits, np.array(scenario.goal)
@@ -157,7 +157,7 @@ class DynamicWindowDriver:
         return self._window.choose(np.array((c * dx + s * dy, c * dy - s * dx)), np.array(sensors.speeds), points)
 
     def _plan(self, pose: Array) -> None:
-        """Plan the path anew; where there is none, the old one stays."""
+        """Replan the path; keep the old one if there is none."""
         solver = MapSolver(self._map.occupancy(), self._limits, unknown_is_free=True)
         try:
             value = solver.solve((float(self._goal[0]), float(self._goal[1])), TOLERANCE, widest=2.0 * TOLERANCE)
@@ -169,7 +169,7 @@ class DynamicWindowDriver:
 
 
 def _placed(sensors: Sensors) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the lidar's place (2,) and the ends of its beams (n, 2) in odometry's frame [m], and which have echoes."""
+    """Return lidar position (2,) and beam end points (n, 2) in the odometry frame [m], and which beams have echoes."""
     assert sensors.pose is not None, "odometry is the pose"
     x, y, theta = sensors.pose
     c, s = math.cos(theta), math.sin(theta)
@@ -182,7 +182,7 @@ def _placed(sensors: Sensors) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def safety_check(mover_speed: float) -> SensorFilter:
-    """Return the safety filter with the Jackal's model, whose set is solved ten times a second."""
+    """Return the safety filter for the Jackal, which recomputes its safe set ten times a second."""
     options = FilterOptions(period=PERIOD, mover_speed=mover_speed)
     return SensorFilter(SafetyFilter(find_model("jackal"), options), LIDAR_X, _SET_PERIOD)
 
@@ -193,4 +193,4 @@ CONTROLLERS: Mapping[str, Callable[[Scenario, DriveLimits], Driver[Sensors]]] = 
     "dynamic_window": DynamicWindowDriver,
     **{name: partial(TransplantedPolicy, name) for name in ("curved_corridor", "car_ttr", "car_navigation")},
 }
-"""Makers of controllers by name; the last three are policies of the suite."""
+"""Factories of controllers by name; the last three are policies of the suite."""

@@ -23,10 +23,10 @@ def score(succeeded: bool, seconds: float, length: float, low: float = LOW) -> f
     """Return the score of one drive, 0 to 1 / low.
 
     Args:
-        succeeded: Whether the goal was reached without a contact, in time.
+        succeeded: Whether the robot reached the goal in time and without contact.
         seconds: Time from the first motion to the end [s].
         length: Length of the optimal path [m].
-        low: Multiple of the optimal time below which being faster earns nothing.
+        low: Multiple of the optimal time below which a shorter time does not raise the score.
     """
     optimal = length / FASTEST
     return float(succeeded) * optimal / min(max(seconds, low * optimal), HIGH * optimal)
@@ -35,29 +35,29 @@ def score(succeeded: bool, seconds: float, length: float, low: float = LOW) -> f
 Array = NDArray[np.float64]
 
 PERIOD = 0.05
-"""Time from command to command [s]; each has a scan of its own."""
+"""Time between two commands [s]; each command has its own scan."""
 LIDAR_X = find_robot("jackal").lidar.x
-"""Position of the lidar ahead of the robot's middle [m]."""
+"""Distance of the lidar in front of the robot's centre [m]."""
 _MOVED = 0.1
-"""The clock starts when the robot is so far from its start [m]."""
+"""Distance from the start at which the clock starts [m]."""
 _PATIENCE = 15.0
 _AROUND = 0.5
-"""A drive counts as timed out where the robot stays so long [s] within such a distance [m] of a place."""
+"""Time [s] and distance [m]: a robot that stays this long within this distance of a point counts as timed out."""
 _STANDS = 0.05
-"""Speed below which a robot stands [m/s]."""
+"""Speed below which a robot counts as standing [m/s]."""
 
 
 End = Literal["goal", "collision", "hit", "time-out"]
-"""End of a drive: the goal, a collision, a hit by something while the robot stood, or the end of the time."""
+"""End of a drive: goal, collision, hit by a moving obstacle while the robot stood, or time-out."""
 
 
 @dataclass(frozen=True)
 class BarnDrive:
-    """The end of one drive.
+    """Result of one drive.
 
     Attributes:
         world: Number of the world.
-        end: Kind of the end.
+        end: How the drive ended.
         seconds: Time from the first motion to the end [s].
         length: Length of the optimal path [m].
         distance: Distance from the goal at the end [m].
@@ -70,12 +70,12 @@ class BarnDrive:
     distance: float
 
     def score(self, low: float = LOW) -> float:
-        """Return the score, 0 to 1 / low, as `score.score` has it."""
+        """Return the score, 0 to 1 / low, see the function `score`."""
         return score(self.end == "goal", self.seconds, self.length, low)
 
 
 class BarnRobot:
-    """The robot of a scenario in Gymnasium's form: an episode is truncated if the robot is stuck or time is up.
+    """Robot of a scenario with Gymnasium's interface; an episode is truncated if the robot is stuck or time is up.
 
     Attributes:
         trace: x, y, theta and the command of each period (5,).
@@ -93,7 +93,7 @@ class BarnRobot:
         return out
 
     def step(self, command: Array) -> tuple[Sensors, float, bool, bool, dict[str, Any]]:
-        """Hold a command (2,) for a period."""
+        """Apply a command (2,) for one period."""
         self.trace.append(np.concatenate((self._world.pose(), command)))
         sensors, reward, terminated, truncated, info = self._robot.step(command)
         if not (terminated or truncated):
@@ -106,7 +106,7 @@ class BarnRobot:
         return sensors, reward, terminated, truncated, info
 
     def ended(self) -> BarnDrive:
-        """Return the end of the drive."""
+        """Return the result of the drive."""
         scenario, world, episode = self._scenario, self._world, self._world.episode()
         running = episode.outcome is Outcome.RUNNING or math.isnan(self._begun)
         seconds = LIMIT if running else round(world.elapsed - self._begun, 3)
@@ -127,15 +127,15 @@ def drive(
     options: SimulationOptions,
     trace: list[Array] | None = None,
 ) -> BarnDrive:
-    """Drive once, as the challenge does.
+    """Drive once by the rules of the challenge.
 
     Args:
         scenario: World to drive in.
-        driver: Driver that has not driven yet.
+        driver: Unused driver.
         check: Filter for the driver's commands, or None.
         seed: Seed of noise and drift.
         options: Settings of the simulation.
-        trace: List to which x, y, theta and the command of each period (5,) are added.
+        trace: List that receives x, y, theta and the command of each period (5,).
     """
     world = SimulatedWorld(scenario.task, seed, options=options)
     try:

@@ -1,8 +1,9 @@
 """The dynamic window approach (D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, 1997).
 
-Commands are sampled in the window that the accelerations reach within one period. Each is an arc; its clearance is the
-way along the arc to the first echo. Admissible are those that the robot can brake from on that way (Eq. 14 there). The
-best one maximises a weighted sum of heading, clearance and speed (Eq. 13), each scaled to 0 .. 1.
+Commands are sampled from the window that the accelerations allow within one period. Each command drives an arc; its
+clearance is the distance along the arc to the first echo. A command is admissible if the robot can stop within its
+clearance (Eq. 14 there). The best one maximises a weighted sum of heading, clearance and speed (Eq. 13), each scaled to
+0 .. 1.
 """
 
 from __future__ import annotations
@@ -18,24 +19,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _STEP = 0.1
-"""Length of the pieces of an arc [m], and of a turn on the spot at the robot's corner."""
+"""Step length along an arc [m]; when the robot turns on the spot, the step of its corner."""
 
 
 @dataclass(frozen=True)
 class DynamicWindowOptions:
-    """Settings of the controller; the weights are those of the paper's section 5.
+    """Settings of the controller, with the weights of the paper's section 5.
 
     Attributes:
         heading: Weight of the alignment with the goal after the command's period.
-        clearance: Weight of the way to the first echo.
+        clearance: Weight of the distance to the first echo.
         speed: Weight of the speed.
-        speeds: Number of speeds that are tried.
-        turns: Number of turn rates that are tried.
-        reach: Way beyond which echoes do not count [m].
-        ahead: Time after which the heading is compared with the goal's direction [s].
-        period: Time from command to command [s].
-        delay: Time from a command to its effect and until the next one [s].
-        deceleration: Deceleration of the robot when it brakes [m/s^2].
+        speeds: Number of sampled speeds.
+        turns: Number of sampled turn rates.
+        reach: Distance beyond which echoes are ignored [m].
+        ahead: Time at which the predicted heading is compared with the direction to the goal [s].
+        period: Time between two commands [s].
+        delay: Time from a command to its effect, plus the time until the next command [s].
+        deceleration: Braking deceleration of the robot [m/s^2].
     """
 
     heading: float = 2.0
@@ -54,7 +55,7 @@ class DynamicWindowOptions:
 def _clearances(
     commands: Array, points: Array, half_length: float, half_width: float, gap: float, reach: float
 ) -> Array:
-    """Return the free way along the arc of each command (n,) [m], at most `reach`."""
+    """Return the free distance along the arc of each command (n,) [m], at most `reach`."""
     out = np.full(len(commands), reach)
     corner = math.hypot(half_length, half_width)
     for i in range(len(commands)):
@@ -84,17 +85,17 @@ def _clearances(
 
 
 class DynamicWindow:
-    """Chooses commands for one robot."""
+    """Dynamic-window controller of one robot."""
 
     def __init__(self, limits: DriveLimits, options: DynamicWindowOptions | None = None) -> None:
         self.limits, self.options = limits, options or DynamicWindowOptions()
 
     def choose(self, goal: Array, motion: Array, points: Array) -> Array:
-        """Return speed and turn rate to send (2,) [m/s, rad/s].
+        """Return the command: speed and turn rate (2,) [m/s, rad/s].
 
         Args:
             goal: Position of the goal in the robot's frame (2,) [m].
-            motion: Speed and turn rate now (2,) [m/s, rad/s].
+            motion: Current speed and turn rate (2,) [m/s, rad/s].
             points: Echoes in the robot's frame (n, 2) [m].
         """
         limits, settings = self.limits, self.options
@@ -116,7 +117,7 @@ class DynamicWindow:
         return np.asarray(commands[best], float)
 
     def _window(self, motion: Array) -> Array:
-        """Return the commands that can be reached within one period (n, 2)."""
+        """Return the commands (n, 2) that the robot can reach within one period."""
         limits, settings = self.limits, self.options
         step, turn = limits.acceleration * settings.period, limits.turn_acceleration * settings.period
         low, high = np.clip((motion[0] - step, motion[0] + step), 0.0, limits.speed)

@@ -1,4 +1,4 @@
-"""Drives of the benchmark that are still to be made, each of which a worker process can make by itself."""
+"""Planned drives of the benchmark, each of which a worker process can execute on its own."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ctrl_rl_trials.barn.scenarios import load_scenario
 from sim_bridge import SimulationOptions
 
 _SEEDS = 1000
-"""Distance between the seeds of one world."""
+"""Offset between the seeds of two worlds."""
 _MOVERS = 2.0
-"""Speed of DynaBARN's obstacles that the filter assumes [m/s]; their key frames have up to 1.95 m/s between them."""
+"""Obstacle speed that the filter assumes in DynaBARN [m/s]; the worlds' key frames imply up to 1.95 m/s."""
 
 
 @dataclass(frozen=True)
 class PlannedDrive:
-    """One drive, by its terms.
+    """Specification of one drive.
 
     Attributes:
         folder: Checkout of the published files.
         world: Number of the world.
         controller: One of `CONTROLLERS`.
-        filtered: Whether the safety filter is below the controller.
-        seed: Seed of noise and drift, which differ from world to world.
+        filtered: Whether the safety filter follows the controller.
+        seed: Seed of noise and drift, which differ between worlds.
         settings: Settings of the simulation.
     """
 
@@ -38,12 +38,12 @@ class PlannedDrive:
 
     @property
     def method(self) -> str:
-        """Name of controller and filter in the table."""
+        """Name of controller and filter in the results table."""
         return f"{self.controller}{', filter' if self.filtered else ''}"
 
 
 def make(plan: PlannedDrive) -> tuple[PlannedDrive, BarnDrive]:
-    """Make a drive, and return it with its plan.
+    """Execute a planned drive; return the plan and its result.
 
     Raises:
         TrialError: The world cannot be read.

@@ -1,10 +1,9 @@
-"""Motions of DynaBARN's obstacles, which are compiled into shared libraries: read as data, never loaded or run.
+"""Read the motions of DynaBARN's obstacles from compiled Gazebo plugins, as data; the plugins are never loaded or run.
 
-`Load()` of such a Gazebo plugin makes a `PoseAnimation` of a duration and calls, for each key frame,
+`Load()` of such a plugin creates a `PoseAnimation` with a duration and calls, for each key frame,
 `CreateKeyFrame(time)`, `Translation(Vector3d(x, y, 0))` and `Rotation(Quaterniond(0, 0, 0))` with literal numbers. The
-compiler left these in the order of the source: an instruction that loads each number, from a place in the file that it
-names relative to itself, or that makes a zero. Here these instructions are looked up and must come in exactly this
-order; anything else is refused.
+compiler kept the order of the source: for each number, one instruction either loads it from an address relative to the
+instruction or sets a register to zero. This module accepts exactly that sequence of instructions and refuses any other.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ _DYNAMIC_SYMBOLS = 11
 _SECTION, _SYMBOL = struct.Struct("<IIQQQQIIQQ"), struct.Struct("<IBBHQQ")
 _LOAD = re.compile(rb"_ZN6gazebo\w{1,200}4LoadEN5boost10shared_ptr")
 _MOST_SECTIONS, _MOST_SYMBOLS = 1000, 20_000
-"""Entries that are looked at; DynaBARN's plugins have some 40 and 400."""
+"""Maximum numbers of entries to read; DynaBARN's plugins have about 40 and 400."""
 _INSTRUCTIONS = re.compile(
     rb"(?P<z>\x66\x0f\xef\xc0)"  # pxor xmm0, xmm0: a zero
-    rb"|(?P<c>\xf2\x0f\x10\x05.{4})"  # movsd xmm0, [rip + ....]: a number
-    rb"|(?P<a>\x48\x8b\x05.{4}(?=.{0,8}?\x48\x89\x85.{4}\xf2\x0f\x10\x85))"  # mov rax, [rip + ....]: one by way of rax
-    rb"|(?P<s>\xf2\x0f\x11(?:\x45.|\x85.{4}))"  # movsd [rbp + ..], xmm0: kept
+    rb"|(?P<c>\xf2\x0f\x10\x05.{4})"  # movsd xmm0, [rip + ....]: loads a number
+    rb"|(?P<a>\x48\x8b\x05.{4}(?=.{0,8}?\x48\x89\x85.{4}\xf2\x0f\x10\x85))"  # mov rax, [rip + ....]: by way of rax
+    rb"|(?P<s>\xf2\x0f\x11(?:\x45.|\x85.{4}))"  # movsd [rbp + ..], xmm0: stores it
     rb"|(?P<k>\xe8.{4})",  # call
     re.DOTALL,
 )
@@ -47,7 +46,7 @@ class Keyframes:
     """Key frames of one obstacle.
 
     Attributes:
-        times: Times (n,), rising from 0 [s].
+        times: Times (n,), increasing from 0 [s].
         points: Positions x, y (n,) [m, m].
     """
 
@@ -59,7 +58,7 @@ def read_keyframes(path: Path) -> Keyframes:
     """Read the key frames of a plugin.
 
     Raises:
-        TrialError: The file is no such plugin, or its numbers make no sense.
+        TrialError: The file is no such plugin, or its numbers are implausible.
     """
     with raise_as(TrialError, path):
         content = read_bytes(path, _LARGEST)
@@ -72,7 +71,7 @@ def read_keyframes(path: Path) -> Keyframes:
 
 
 def _load_function(content: bytes) -> tuple[int, int]:
-    """Return where the code of `Load()` begins and ends in the file."""
+    """Return start and end of the code of `Load()` in the file."""
     if content[:6] != _ELF or struct.unpack_from("<H", content, 18)[0] != _X86_64:
         raise FileError("is no shared library for x86-64: DynaBARN's plugins are")
     (table,), (size, count) = struct.unpack_from("<Q", content, 40), struct.unpack_from("<HH", content, 58)
@@ -88,18 +87,18 @@ def _load_function(content: bytes) -> tuple[int, int]:
         if length and _LOAD.match(content, names + name):
             offset = value - sections[home][3] + sections[home][4]
             if value != offset or offset + length > len(content):
-                raise FileError("has its code elsewhere than a plugin of DynaBARN")
+                raise FileError("has its code where no plugin of DynaBARN has it")
             return offset, offset + length
     raise FileError("has no function Load() of a Gazebo plugin")
 
 
 def _frames(content: bytes, begin: int, end: int) -> Iterator[tuple[float, float, float]]:
-    """Yield the frames: time [s], x, y [m]."""
+    """Yield the key frames: time [s], x, y [m]."""
     found = list(_INSTRUCTIONS.finditer(content, begin, end))
     kinds = "".join(str(each.lastgroup) for each in found)
     first = _FRAME.search(kinds)
     place = first.start() if first else len(kinds)
-    # Before the first frame: the animation's name, its duration, and calls that make it.
+    # Before the first key frame: the animation's name, its duration, and the calls that create it.
     if first is None or kinds[:place].replace("k", "") != "a":
         raise FileError("has no key frames in the order in which DynaBARN's plugins have them")
     while frame := _FRAME.match(kinds, place):
@@ -127,8 +126,10 @@ def _checked(frames: list[tuple[float, float, float]]) -> Keyframes:
     times = [time for time, _, _ in frames]
     rising = all(one < other for one, other in pairwise(times))
     if times[0] != 0.0 or not rising or not times[-1] <= _LONGEST:
-        raise FileError(f"has key frames at {times[0]:g} to {times[-1]:g} s: times must rise from 0 to {_LONGEST:g} s")
+        raise FileError(
+            f"has key frames at {times[0]:g} to {times[-1]:g} s: times must increase from 0 to {_LONGEST:g} s"
+        )
     for _, x, y in frames:
         if not (abs(x) <= _FARTHEST and abs(y) <= _FARTHEST):
-            raise FileError(f"has a key frame at ({x:g}, {y:g}) m: DynaBARN's arena reaches to {_FARTHEST:g} m")
+            raise FileError(f"has a key frame at ({x:g}, {y:g}) m: DynaBARN's arena extends to {_FARTHEST:g} m")
     return Keyframes(tuple(times), tuple((x, y) for _, x, y in frames))

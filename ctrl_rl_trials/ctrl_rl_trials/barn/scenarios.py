@@ -1,4 +1,4 @@
-"""Worlds of the benchmark as tasks of this suite."""
+"""Convert worlds of the benchmark into tasks of this suite."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from ctrl_rl_trials.barn.world_file import WorldFile, read_path, read_world
 from ctrl_rl_trials.errors import TrialError
 
 STATIC, MOVING = 300, 60
-"""Numbers of worlds; as in the challenge the moving ones follow the static ones."""
+"""Numbers of worlds; the moving ones follow the static ones, as in the challenge."""
 LIMIT = 100.0
-"""Time after the first motion in which the goal must be reached [s]."""
+"""Time limit for reaching the goal, from the first motion [s]."""
 REACHED = 1.0
-"""Distance of the goal at which it counts as reached [m]."""
+"""Distance from the goal within which it counts as reached [m]."""
 _ROOM = 15.0
-"""Free space around start, goal and obstacles, where the task's arena needs walls [m]."""
+"""Free space between the task's outer walls and start, goal and obstacles [m]."""
 _SPARE = 60.0
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One world.
+    """One world of the benchmark.
 
     Attributes:
-        number: Number of the world, as in the challenge.
-        task: World, robot, start and goal.
-        content: Content of the task's file.
-        start: Pose x, y, theta at the start (3,) [m, m, rad].
+        number: Number of the world in the challenge.
+        task: Task with world, robot, start and goal.
+        content: Content of the task file.
+        start: Start pose x, y, theta (3,) [m, m, rad].
         goal: Position of the goal [m].
         length: Length of the optimal path [m].
     """
@@ -118,15 +118,15 @@ def _obstacle(shape: Shape) -> dict[str, Any]:
 
 
 def _along_axes(box: Box) -> tuple[float, float]:
-    """Return the sides of a box that is turned by whole quarters.
+    """Return the side lengths of a box that is rotated by a multiple of 90 degrees.
 
     Raises:
-        TrialError: It is turned otherwise.
+        TrialError: The box has another rotation.
     """
     quarters = box.angle / (0.5 * math.pi)
     if abs(quarters - round(quarters)) > 1e-3:
         raise TrialError(
-            f"a box at ({box.centre[0]:g}, {box.centre[1]:g}) m lies askew: a task's boxes lie along the axes"
+            f"a box at ({box.centre[0]:g}, {box.centre[1]:g}) m is rotated: a task's boxes must be parallel to the axes"
         )
     return box.size if round(quarters) % 2 == 0 else (box.size[1], box.size[0])
 

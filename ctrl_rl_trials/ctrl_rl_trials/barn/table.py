@@ -1,4 +1,4 @@
-"""The drives of the benchmark by method, in a results file that grows drive by drive."""
+"""Table of benchmark drives by method, stored in a results file after every drive."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from ctrl_rl_trials.errors import TrialError
 _World = Annotated[int, Field(ge=0, lt=STATIC + MOVING)]
 _Number = Annotated[float, Field(ge=0.0, le=1e4)]
 _DRIVES = TypeAdapter(dict[str, list[tuple[_World, End, _Number, _Number, _Number]]])
-"""World, end, duration [s], length of the optimal path [m] and distance left [m] of each drive, by method."""
+"""World, end, duration [s], length of the optimal path [m] and remaining distance [m] of each drive, by method."""
 
 
 class BarnTable:
-    """Drives by method."""
+    """Benchmark drives by method."""
 
     def __init__(self, file: Path | None, seed: int) -> None:
-        """Read what a file has already.
+        """Read the drives that a file already has.
 
         Raises:
-            TrialError: The file has drives with another seed, or none of this benchmark.
+            TrialError: The file has drives with another seed, or belongs to another benchmark.
         """
         self._file, self._seed = file, seed
         self._drives: dict[str, dict[int, BarnDrive]] = {}
         self._take()
 
     def _take(self) -> None:
-        """Take the drives of the file that are not known yet: another command may add to it, too."""
+        """Read new drives from the file, which another command may also extend."""
         file, seed = self._file, self._seed
         if file is None or not file.exists():
             return
@@ -54,11 +54,11 @@ class BarnTable:
                 here.setdefault(each[0], BarnDrive(*each))
 
     def has(self, method: str, world: int) -> bool:
-        """Tell whether a drive is there already."""
+        """Return whether the table already has a drive."""
         return world in self._drives.get(method, {})
 
     def add(self, method: str, drive: BarnDrive) -> None:
-        """Take a drive and write the file, so that an interrupted command loses nothing."""
+        """Add a drive and write the file, so that an interrupted command loses nothing."""
         self._drives.setdefault(method, {})[drive.world] = drive
         if self._file is None:
             return
@@ -71,7 +71,7 @@ class BarnTable:
             write_results(self._file, "barn", [self._seed], self.rows(), {"drives": drives})
 
     def rows(self) -> list[Result]:
-        """Return the rows of the results, BARN's and DynaBARN's apart."""
+        """Return the result rows, with separate rows for BARN and DynaBARN."""
         out = []
         for method in self._drives:
             drives = self._sorted(method)
@@ -81,7 +81,7 @@ class BarnTable:
         return out
 
     def text(self) -> str:
-        """Return the figures for people, a line for each method."""
+        """Return the figures as text, one line per method."""
         figures = {(row.method, row.metric): row.values[0] for row in self.rows()}
         return "\n".join(
             f"{method:<40} score {figures[method, 'score']:.3f}, success {figures[method, 'success']:4.0%}, "
@@ -94,7 +94,7 @@ class BarnTable:
 
 
 def _rows(method: str, drives: Sequence[BarnDrive]) -> list[Result]:
-    """Return the means over worlds."""
+    """Return a method's result rows, with means over the worlds."""
     figures: list[tuple[str, str, Sequence[float]]] = [
         ("score", "1", [drive.score() for drive in drives]),
         ("score of the ROS 2 report", "1", [drive.score(LOW_ROS2) for drive in drives]),

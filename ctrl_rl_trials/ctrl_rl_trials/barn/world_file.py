@@ -20,13 +20,13 @@ _LARGEST_WORLD = 20e6
 _FARTHEST = 1000.0
 _MOST = 10_000
 _UNQUOTED = re.compile(r"<pose frame=\s*>")
-"""DynaBARN's worlds write it so, which Gazebo's reader lets pass and XML does not."""
+"""Invalid XML in DynaBARN's worlds, which Gazebo's parser accepts."""
 _PLUGIN = re.compile(r"[A-Za-z0-9_]+\.so")
 
 
 @dataclass(frozen=True)
 class MovingCylinder:
-    """An obstacle that a plugin moves.
+    """Obstacle that a plugin moves.
 
     Attributes:
         plugin: File name of the plugin.
@@ -39,7 +39,7 @@ class MovingCylinder:
 
 @dataclass(frozen=True)
 class WorldFile:
-    """What stands in a world, and what moves.
+    """Static and moving obstacles of a world.
 
     Attributes:
         cylinders: Upright cylinders, as discs.
@@ -56,21 +56,21 @@ def read_world(path: Path) -> WorldFile:
     """Read a world.
 
     Raises:
-        TrialError: The file is missing, is no SDF world, or has a model that is neither of these.
+        TrialError: The file is missing, is no SDF world, or has a model that is neither a cylinder nor a box.
     """
     with raise_as(TrialError, path):
         text = as_text(read_bytes(path, _LARGEST_WORLD))
         if "<!" in text.replace("<!--", ""):
-            raise FileError("declares entities or a document type, which a world needs not")
+            raise FileError("declares entities or a document type, which no world needs")
         try:
             root = ET.fromstring(_UNQUOTED.sub("<pose>", text))
         except ET.ParseError as error:
-            raise FileError(f"is no XML: {error}") from None
+            raise FileError(f"is not XML: {error}") from None
         models = root.findall("world/model")
         if root.tag != "sdf" or not models:
-            raise FileError("is no SDF world with models")
+            raise FileError("is not an SDF world with models")
         if len(models) > _MOST:
-            raise FileError(f"has {len(models)} models: at most {_MOST} make sense")
+            raise FileError(f"has {len(models)} models: at most {_MOST} are allowed")
         cylinders: list[Disc] = []
         boxes: list[Box] = []
         moving: list[MovingCylinder] = []
@@ -85,12 +85,12 @@ def _add(model: ET.Element, cylinders: list[Disc], boxes: list[Box], moving: lis
     if [shape.tag for shape in shapes] == ["plane"]:
         return
     if len(shapes) != 1 or shapes[0].tag not in ("cylinder", "box"):
-        raise FileError(f"model '{name}': has no single cylinder or box to collide with")
+        raise FileError(f"model '{name}': must have exactly one cylinder or box as its collision shape")
     (shape,) = shapes
     plugin = model.find("plugin")
     x, y, _, roll, pitch, yaw = _numbers(model.find("pose"), 6, name) if model.find("pose") is not None else (0.0,) * 6
     if roll or pitch:
-        raise FileError(f"model '{name}': leans, and only upright ones are read")
+        raise FileError(f"model '{name}': is tilted: only upright models are supported")
     if shape.tag == "box":
         width, depth, _ = _numbers(shape.find("size"), 3, name, positive=True)
         boxes.append(Box((x, y), (width, depth), yaw))
@@ -126,24 +126,24 @@ _ORIGIN = (-4.575, 5.075)
 
 
 def read_path(path: Path) -> NDArray[np.float64]:
-    """Return the places (n, 2) of a path file in the world [m].
+    """Return the points (n, 2) of a path file in world coordinates [m].
 
     Raises:
-        TrialError: The file is missing, or holds no list of cells.
+        TrialError: The file is missing, or is no list of cells.
     """
     with raise_as(TrialError, path):
         content = read_bytes(path, _LARGEST_PATH)
         try:
             cells = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
         except (ValueError, EOFError, OverflowError, MemoryError):
-            raise FileError("is no NumPy array of numbers") from None
+            raise FileError("is not a NumPy array of numbers") from None
         if (
             cells.ndim != 2
             or cells.shape[1] != 2
             or not 2 <= len(cells) <= _MOST_CELLS
             or cells.dtype.kind not in "iuf"
         ):
-            raise FileError("must hold the cells of a path, two numbers each")
+            raise FileError("must contain the cells of a path, two numbers each")
         cells = cells.astype(float)
         if not (np.abs(cells) <= _MOST_CELLS).all():
             raise FileError(f"has a cell beyond {_MOST_CELLS}, or one that is not finite")

@@ -1,4 +1,4 @@
-"""The command `barn`: the BARN and DynaBARN benchmark with controllers of the suite, from its published files."""
+"""The command `barn`: run the suite's controllers on the published worlds of BARN and DynaBARN."""
 
 from __future__ import annotations
 
@@ -27,41 +27,41 @@ _WORLDS = {
 
 @dataclass(frozen=True)
 class BarnOptions:
-    """Drive a Jackal through the worlds of the BARN challenge, and compute its score.
+    """Drive a Jackal through the worlds of the BARN challenge, and compute the challenge's score.
 
-    The worlds are read from a checkout of github.com/Daffan/the-barn-challenge, which is not part of this suite. Drives
-    that the results file has already are not made again.
+    The worlds come from a checkout of github.com/Daffan/the-barn-challenge, which is not part of this suite. The
+    command skips drives that the results file already has.
     """
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the checkout."""
 
     worlds: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD...")] = ("challenge",)
-    """Numbers or ranges (0-299 BARN, 300-359 DynaBARN), or challenge (every sixth of BARN), barn, dynabarn."""
+    """Numbers or ranges (0-299 BARN, 300-359 DynaBARN), or challenge (every sixth BARN world), barn, dynabarn."""
 
     controllers: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME...")] = ("explorer", "dynamic_window")
     """Controllers: explorer, navigator (has the map), dynamic_window, or the policies curved_corridor, car_ttr ..."""
 
     filters: tuple[Literal["off", "on"], ...] = ("off",)
-    """Without and with the safety filter below the controller."""
+    """Without or with the safety filter after the controller, or both."""
 
     engine: Literal["planar", "pybullet", "mujoco"] = "planar"
-    """Engine of the simulation."""
+    """Physics engine."""
 
     drift: float = 0.002
-    """Standard deviation of odometry's relative errors; the challenge's odometry has its headings from an IMU."""
+    """Standard deviation of odometry's relative errors; the challenge's odometry takes its heading from an IMU."""
 
     seed: NotNegative = 0
-    """Seed of noise and drift, which differ from world to world."""
+    """Seed of noise and drift, which differ between worlds."""
 
     workers: NotNegative = 0
-    """Drives at a time; 0 for one for each core."""
+    """Number of parallel drives; 0 for one per core."""
 
     results: OptionalFileToWrite = None
-    """JSON file for the results; drives that it has are kept."""
+    """JSON file for the results; drives already in it are kept."""
 
     tasks: Path | None = None
-    """Write the worlds as task files into this folder instead of driving."""
+    """Folder to write the worlds to as task files, instead of driving."""
 
 
 def _barn(options: BarnOptions) -> int:
@@ -79,7 +79,7 @@ def _barn(options: BarnOptions) -> int:
 
 
 def _drive(options: BarnOptions, numbers: list[int]) -> int:
-    """Drive in the worlds in which no drive is kept yet, and print the table."""
+    """Drive in the worlds that the results file lacks, and print the table."""
     table = BarnTable(options.results, options.seed)
     settings = SimulationOptions(engine=options.engine, odom_drift=options.drift)
     todo = [
@@ -90,7 +90,7 @@ def _drive(options: BarnOptions, numbers: list[int]) -> int:
     ]
     left = [plan for plan in todo if not table.has(plan.method, plan.world)]
     if len(left) < len(todo):
-        print(f"{len(todo) - len(left)} of {len(todo)} drives are in {options.results} already")
+        print(f"{options.results} already has {len(todo) - len(left)} of {len(todo)} drives")
     with tqdm(total=len(left), unit="drive", disable=None) as bar:
         for plan, end in map_in_processes(make, left, options.workers):
             table.add(plan.method, end)
@@ -102,10 +102,10 @@ def _drive(options: BarnOptions, numbers: list[int]) -> int:
 
 
 def _numbers(word: str) -> range:
-    """Return the worlds of a word.
+    """Return the world numbers that a word of --worlds stands for.
 
     Raises:
-        CommandError: It is no name, number or range of worlds.
+        CommandError: The word is no name, number or range of worlds.
     """
     if word in _WORLDS:
         return _WORLDS[word]

@@ -1,4 +1,4 @@
-"""The command `correlation`: whether predictions from bags agree with what policies then earn."""
+"""The command `correlation`: compare returns predicted from bags with the returns that policies then achieve."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _NAMES = {
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelationOptions:
-    """Learn eighteen policies well and badly, predict each from bags, drive each, and correlate the two.
+    """Train eighteen policies of varying quality, predict their returns from bags, and correlate with driven returns.
 
-    It goes on where it was cut off.
+    An interrupted call resumes.
     """
 
     task: str = "car_navigation"
     """Task of the suite, or a task file."""
     seeds: Positive = 5
-    """Number of seeds, each with bags of its own."""
+    """Number of seeds, each with its own bags."""
     episodes: Positive = 150
-    """Episodes of each seed's bag."""
+    """Number of episodes in each seed's bag."""
     tests: Positive = 100
-    """Episodes that each policy drives."""
+    """Number of test episodes per policy."""
     folder: FolderToWrite = Path("runs/offline_correlation")
     """Folder of bags, policies and predictions."""
     results: OptionalFileToWrite = None
-    """JSON file to write the correlations to."""
+    """JSON file for the correlations."""
 
 
 def _correlation(options: CorrelationOptions) -> int:

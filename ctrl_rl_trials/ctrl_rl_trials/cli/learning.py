@@ -1,4 +1,4 @@
-"""The commands `train` and `plot`: the whole ladder, each way with the same networks, samples and seeds."""
+"""The commands `train` and `plot`: compare all ways on the ladder with the same networks, samples and seeds."""
 
 from __future__ import annotations
 
@@ -28,39 +28,39 @@ _EVALUATIONS, _FINAL_EVALUATIONS = 20, 10
 
 @dataclass(frozen=True, kw_only=True)
 class Train(ExperimentOptions):
-    """Learn tasks in each way that a value can be used, from several seeds; go on where an earlier call was cut off.
+    """Train on tasks with each way of using a value function, from several seeds, resuming an interrupted call.
 
-    Policies are learnt in the planar engine and checked in PyBullet. Interrupted with Ctrl-C, it still prints the table
-    of the runs that are finished and writes its results.
+    Policies train in the planar engine and are tested in PyBullet. After Ctrl-C the command still prints the table of
+    the finished runs and writes its results.
     """
 
     folder: FolderToWrite = Path("runs/ladder")
-    """Folder of the runs; each has one of its own, and goes on there where it was cut off."""
+    """Folder of the runs; each run has its own subfolder and resumes there."""
     samples: Positive = 10 * ITERATION
-    """Samples of a run; whole iterations of 10240 are done."""
+    """Samples per run, rounded up to iterations of 10240."""
     tasks: tuple[str, ...] = LADDER
-    """Tasks: names of the ladder, of the suite, or task files."""
+    """Tasks: names from the ladder or the suite, or task files."""
     ways: Annotated[tuple[str, ...], some_of(WAYS)] = BY_DEFAULT
-    """Ways to use the time to reach, or to do without; best_progress_mpc solves trajectories first, minutes a task."""
+    """Ways to use the time to reach, or none; best_progress_mpc solves trajectories first, in minutes per task."""
     learners: Annotated[tuple[str, ...], some_of(LEARNERS)] = LEARNERS
     """Learners."""
     results: OptionalFileToWrite = None
-    """JSON file to write table and curves to; what it holds about other methods stays."""
+    """JSON file to write the table and curves to; it keeps the data of other methods."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(PlotOptions):
-    """Draw success over samples on each task, from the results that `train` wrote."""
+    """Draw the success rate over samples for each task, from the results that `train` wrote."""
 
     learner: Annotated[str, one_of(LEARNERS)] = "ppo"
-    """Learner whose runs are drawn."""
+    """Learner whose runs to draw."""
 
 
 def _train(options: Train) -> int:
     tasks = {name: load_ladder_task(name) for name in options.tasks or LADDER}
     for task in tasks.values():
         require("ctrl_rl_trials train", task)
-    # Torch takes seconds to import: not before the arguments are right.
+    # Torch takes seconds to import: wait until the arguments are valid.
     from ctrl_rl_learning.study import run_experiments
 
     from ctrl_rl_trials.ladder.results import as_table, collect, read_curves, write
@@ -72,7 +72,7 @@ def _train(options: Train) -> int:
         print(line)
 
     if options.results is not None:
-        read_curves(options.results)  # A file that cannot be kept is an error now, not after days.
+        read_curves(options.results)  # Fail now, not after days, if the results file cannot be extended.
     folder = options.folder / "values"
     values = {name: find_or_solve(task, folder, tell, with_grid(task)) for name, task in tasks.items()}
     ways, learners = options.ways or BY_DEFAULT, options.learners or LEARNERS

@@ -28,35 +28,35 @@ _ENGINES = ("planar", "auto", "pybullet", "mujoco")
 
 @dataclass(frozen=True, kw_only=True)
 class LoopOptions:
-    """Close the loop: a scripted driver's bags teach a policy, its bags the next one, and each is driven and compared.
+    """Close the loop: learn a policy from a scripted driver's bags, the next from its own bags, and compare all rounds.
 
-    Interrupted with Ctrl-C, it goes on where it was when it is called again, and its results hold the runs so far.
+    After Ctrl-C the results hold the runs so far, and the same call resumes.
     """
 
     tasks: tuple[str, ...] = ("car_navigation",)
-    """Tasks: of the suite, or task files."""
+    """Tasks of the suite, or task files."""
     methods: Annotated[tuple[str, ...], some_of(METHODS)] = ("value_model",)
-    """Ways of learning."""
+    """Learning methods."""
     seeds: Positive = 5
     """Number of seeds."""
     first_seed: NotNegative = 0
     """First of the seeds."""
     rounds: Positive = 3
-    """Rounds after the scripted driver's."""
+    """Number of rounds after the scripted driver's round."""
     episodes: Positive = 150
-    """Episodes that each round records."""
+    """Number of episodes recorded in each round."""
     tests: Positive = 100
-    """Episodes that success is counted in."""
+    """Number of test episodes per policy."""
     updates: Positive = 5000
     """Number of updates of the networks."""
     clearance: OptionalNotNegativeNumber = None
-    """Room to obstacles that the value which teaches keeps [m]; half the body's radius by default."""
+    """Clearance to obstacles in the value function that teaches [m]; half the body's radius by default."""
     engine: Annotated[str, one_of(_ENGINES)] = "planar"
     """Physics engine."""
     folder: FolderToWrite = Path("runs/offline_loop")
-    """Folder of the runs; each goes on there where it was cut off."""
+    """Folder of the runs, which resume there."""
     results: OptionalFileToWrite = None
-    """JSON file to write success and return of each round to."""
+    """JSON file to write the success and return of each round to."""
 
 
 def _loop(options: LoopOptions) -> int:
@@ -101,7 +101,7 @@ def _loop(options: LoopOptions) -> int:
 
 
 def _rows(found: dict[tuple[str, str], list[list[dict[str, Any]]]]) -> list[Result]:
-    """Return success and return of each round, one number a seed."""
+    """Return rows with success and return of each round, one number per seed."""
     rows = []
     for (task, method), runs in found.items():
         for number in range(len(runs[0])):

@@ -1,4 +1,4 @@
-"""The command `shift_study`: a policy of one engine learns on the other engine's robot, which is late besides."""
+"""The command `shift_study`: fine-tune a policy from one engine on another engine's robot with delayed commands."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ NAMES = {"motion": "motion observed", "plain": "observation of its file"}
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftStudy:
-    """Fine-tune a shipped policy, which was learnt in PyBullet, on a robot in MuJoCo whose commands take effect late.
+    """Fine-tune a shipped policy, trained in PyBullet, on a robot in MuJoCo with delayed commands.
 
-    The robot is driven through ROS alone, behind the safety filter, which knows the delay. An interrupted call goes on
-    after the last whole episode, and the results hold the seeds so far.
+    The command drives the robot through ROS alone, behind the safety filter, which knows the delay. An interrupted call
+    resumes after the last complete episode, and the results hold the seeds so far.
     """
 
     task: Annotated[str, one_of(_TASKS)] = "car_ttr"
-    """Task, and policy of the same name."""
+    """Task, which is also the name of its policy."""
     engine: Annotated[str, one_of(_ENGINES)] = "mujoco"
     """Physics engine of the robot."""
     delay: FiniteNumber = 0.7
     """Time from a command to its effect on the shifted robot [s]."""
     minutes: FiniteNumber = 30.0
-    """Time that the robot drives while it learns [min]."""
+    """Driving time of the fine-tuning [min]."""
     tests: Positive = 50
-    """Episodes in which success is counted."""
+    """Number of test episodes."""
     seeds: Positive = 3
     """Number of seeds."""
     methods: Annotated[tuple[str, ...], some_of(METHODS)] = ("motion",)
-    """What the policy observes: as in its file (plain), or its speeds and last command, too (motion)."""
+    """Observation of the policy: as in its file (plain), or with speeds and last command added (motion)."""
     folder: FolderToWrite = Path("runs/shift_study")
-    """Folder of the runs; each goes on there where it was cut off."""
+    """Folder of the runs, which resume there."""
     results: OptionalFileToWrite = None
-    """JSON file to write success before and after to."""
+    """JSON file to write the success before and after fine-tuning to."""
 
 
 def _study(options: ShiftStudy) -> int:
@@ -93,7 +93,7 @@ def _rows(
     before: dict[str, Any],
     tuned: dict[str, list[dict[str, Any]]],
 ) -> list[Result]:
-    """Return success of each stage, and over that of the nominal robot; tuned policies have one number a seed."""
+    """Return rows with each stage's success, absolute and relative to the nominal robot; one number per tuned seed."""
     late = f"{options.task}, {options.engine}, commands {options.delay:g} s late"
     stages = {f"{options.task}, {options.engine}, nominal": [nominal], late: [before]}
     stages |= {f"{late}, after {options.minutes:g} min, {NAMES[method]}": found for method, found in tuned.items()}

@@ -1,4 +1,4 @@
-"""The commands `hardness` and `page`: what a task asks of a learner, and all tasks of the ladder drawn."""
+"""The commands `hardness` and `page`: measure how hard tasks are, and draw all tasks of the ladder."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ctrl_rl_trials.ladder.task_list import LADDER, PRACTICE, load_ladder_task
 
 @dataclass(frozen=True)
 class Hardness:
-    """Say the optimal time of tasks, and how often an untrained Gaussian policy meets the goal in 10,240 samples."""
+    """Print each task's optimal time, and how often an untrained Gaussian policy reaches the goal in 10,240 samples."""
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[TASK ...]")] = ()
     """Names of tasks or task files (default: the ladder)."""
     values: FolderToWrite = Path("runs/ladder/values")
-    """Folder in which times to reach are kept; a task that has none there is solved, if it has a grid."""
+    """Folder of times to reach; a missing one is solved if the task has a grid."""
     seed: NotNegative = 0
     """Seed of starts and actions."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """Draw all tasks of the ladder, six a picture."""
+    """Draw all tasks of the ladder, six per picture."""
 
     output: Path = Path("docs/images/ladder_tasks.png")
-    """Picture to write; the next six tasks are drawn beside it, as NAME_2."""
+    """Picture to write; the next six tasks go to NAME_2 beside it."""
 
 
 def _hardness(options: Hardness) -> int:
@@ -53,7 +53,7 @@ def _hardness(options: Hardness) -> int:
             f"{SAMPLES} samples ({sum(found.ended.values())} episodes)",
         )
         if found.unreachable:
-            print(f"{'':<18} from {found.unreachable:.0%} of the starts there is no way")
+            print(f"{'':<18} the goal is unreachable from {found.unreachable:.0%} of the starts")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The ladder of tasks: its files, how hard each is, its runs, and their table and pictures."""
+"""The ladder of tasks: task files, difficulty measures, training runs, tables and pictures."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""How hard a task is: the optimal time, and how often an untrained policy meets the goal."""
+"""Difficulty of a task: its optimal time, and how often an untrained policy reaches the goal."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ttr_reward_node import TimeToReach
 SAMPLES = 10_240
 """Samples of the untrained policy."""
 _DEVIATION = float(np.exp(-0.5))
-"""Standard deviation of an untrained Gaussian policy's action, as PPO begins here; its mean is 0."""
+"""Standard deviation of an untrained Gaussian policy's action, as in PPO's initial policy here; the mean is 0."""
 _STARTS, _ROBOTS = 200, 16
 
 
 @dataclass(frozen=True)
 class Hardness:
-    """How hard a task is.
+    """Difficulty of a task.
 
     Attributes:
-        optimal: Median time to reach from the task's starts [s]; None without a value.
-        unreachable: Share of the starts from which there is no way; None without a value.
+        optimal: Median time to reach from the task's starts [s]; None without a value function.
+        unreachable: Share of the starts from which the goal is unreachable; None without a value function.
         limit: Time limit of an episode [s].
         ended: Number of episodes of the untrained policy, by outcome.
-        samples: Number of samples that they took.
+        samples: Number of samples in these episodes.
     """
 
     optimal: float | None
@@ -39,19 +39,19 @@ class Hardness:
 
     @property
     def goals(self) -> int:
-        """Number of goals that the untrained policy met."""
+        """Number of episodes in which the untrained policy reached the goal."""
         return self.ended[Outcome.GOAL.name]
 
 
 def measure_hardness(
     task: NavigationTask, value: ValueFunction | None, samples: int = SAMPLES, seed: int = 0
 ) -> Hardness:
-    """Return how hard a task is.
+    """Measure the difficulty of a task.
 
     Args:
         task: Task in an arena.
-        value: Its time to reach; None where it has none.
-        samples: Samples of the untrained policy.
+        value: Time to reach of the task; None if there is none.
+        samples: Number of samples of the untrained policy.
         seed: Seed of starts and actions.
 
     Raises:

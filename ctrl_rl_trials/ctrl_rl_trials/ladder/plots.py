@@ -1,4 +1,4 @@
-"""The pictures of the ladder: its tasks, success while learning, and what all seeds came to at the end."""
+"""Pictures of the ladder: its tasks, success rates during training, and the final success of all seeds."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.shaping.variants import WAYS
 
 _COMPARED = {"best_progress": "best progress", "distance": "distance", "sparse": "sparse"}
-"""Ways that all tasks are learnt with from the same seeds, and their names in the figure; the others are in tables."""
+"""Ways that were trained on all tasks with the same seeds, by their names in the figure; tables show the others."""
 _SEEDS = 3
-"""Seeds below which a task is left to the tables."""
+"""Minimum number of seeds for a task to appear in the figure."""
 _LEARNT = 0.9
-"""Success of a task that counts as learnt."""
+"""Success rate from which a task counts as learnt."""
 
 
 def draw_ladder(figures: Mapping[str, Any], learner: str, folder: Path) -> list[Path]:
-    """Draw the main ways with a learner while they learn, and what their seeds came to; return the files."""
+    """Draw training curves and final success of the main ways with a learner; return the files."""
     curves = {
         tuple(name.removesuffix(f", {learner}").split(": ")): curve
         for name, curve in figures["curves"].items()
@@ -57,7 +57,7 @@ _COLUMNS, _MOST = 3, 6
 
 
 def draw_pages(tasks: Sequence[NavigationTask], path: Path) -> Iterator[Path]:
-    """Draw worlds, starts, goals and traps of tasks, six a picture, and return the files."""
+    """Draw worlds, starts, goals and traps of tasks, six per picture, and yield the files."""
     for page, first in enumerate(range(0, len(tasks), _MOST), 1):
         file = path if page == 1 else path.with_stem(f"{path.stem}_{page}")
         _draw_page(tasks[first : first + _MOST], file)
@@ -73,7 +73,7 @@ def _draw_page(shown: Sequence[NavigationTask], path: Path) -> None:
         for ax, task in zip(axes.flat, shown, strict=False):
             draw_map(ax, task)
             middle = [side.centre for side in task.plane_bounds.values()]
-            ax.set_xlim(middle[0] - 0.5 * sizes[0], middle[0] + 0.5 * sizes[0])  # the same scale in all
+            ax.set_xlim(middle[0] - 0.5 * sizes[0], middle[0] + 0.5 * sizes[0])  # same scale in all panels
             ax.set_ylim(middle[1] - 0.5 * sizes[1], middle[1] + 0.5 * sizes[1])
             ax.set_title(task.name.replace("_", " "))
             names = ("x", task.plane[1])

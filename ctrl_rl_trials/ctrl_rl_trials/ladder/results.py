@@ -1,4 +1,4 @@
-"""The table of the ladder's runs, and the data of its figure."""
+"""Table of the ladder's runs and the data of their figure."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from ctrl_rl_trials.ladder.runs import LadderRun
 
 
 class LadderFigures(Figures):
-    """What is drawn of the ladder, see `collect`."""
+    """Figure data of the ladder, see `collect`."""
 
     curves: Annotated[dict[str, SuccessCurve], Field(min_length=1, max_length=2000)]
 
 
 def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict[str, Any]]:
-    """Return the rows and the curves of all runs that are finished.
+    """Return the rows and the curves of all finished runs.
 
     Returns:
-        For each task, way and learner `success` (in PyBullet), one value a seed, and `samples to 90 %` (in the engine
-        of learning; seeds that never get there are left out and counted); and the curves of success by method.
+        For each task, way and learner `success` (in PyBullet), one value per seed, and `samples to 90 %` (in the
+        training engine; seeds that never reach 90 % are omitted and counted); and the success curves by method.
     """
     found = finished_runs(todo, folder, lambda run: run.method)
     metrics = [metric("success", "1", lambda result: result["success"]), *metrics_of_speed(words="90 %")]
@@ -43,7 +43,7 @@ def collect(todo: Sequence[LadderRun], folder: Path) -> tuple[list[Result], dict
 
 
 def read_curves(path: Path) -> dict[str, Any]:
-    """Return the curves of success by method of a results file; none where there is no file.
+    """Return the success curves by method of a results file; empty if there is no file.
 
     Raises:
         ResultsError: The file cannot be read, or is not the ladder's.
@@ -52,10 +52,10 @@ def read_curves(path: Path) -> dict[str, Any]:
 
 
 def write(path: Path, seeds: int, rows: Sequence[Result], curves: Mapping[str, Any]) -> None:
-    """Write rows and curves; what the file holds about other methods stays.
+    """Write rows and curves, and keep the file's data of other methods.
 
     Raises:
-        ResultsError: The file that is there cannot be read, or is not the ladder's.
+        ResultsError: The existing file cannot be read, or is not the ladder's.
     """
     with results_lock(path):
         figures = {"task": "ladder", "curves": {**read_curves(path), **curves}}
@@ -63,7 +63,7 @@ def write(path: Path, seeds: int, rows: Sequence[Result], curves: Mapping[str, A
 
 
 def as_table(rows: Sequence[Result]) -> str:
-    """Return the success of the ways as text: a line for each task and learner, a column for each way."""
+    """Return the success rates as text, with a line for each task and learner and a column for each way."""
     success = {row.method: row.values for row in rows if row.metric == "success"}
     parts = [(*method.split(": ")[:1], *method.split(": ")[1].split(", ")) for method in success]
     ways = list(dict.fromkeys(way for _, way, _ in parts))

@@ -1,4 +1,4 @@
-"""The runs of the ladder: a task, a way, a learner, a seed; learnt in the planar engine, checked in PyBullet."""
+"""Runs of the ladder (task, way, learner, seed), trained in the planar engine and tested in PyBullet."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from ttr_reward_node import TimeToReach, load_value, make_reward
 
 @dataclass(frozen=True)
 class LadderRun(SimulatedRun):
-    """A run of the ladder.
+    """Run of the ladder.
 
     Attributes:
         task_name: Name of the task, or its file.
         way_name: One of `WAYS`.
         learner: One of `LEARNERS`.
-        seed: Seed of everything random.
-        value: File of the task's time to reach, or folder of MPC's trajectories for a way that asks them.
+        seed: Seed of all random numbers.
+        value: File of the task's time to reach, or folder of MPC's trajectories for a way that uses them.
     """
 
     task_name: str
@@ -94,16 +94,16 @@ class LadderRun(SimulatedRun):
         return load_value(self.value).digest if self.way.needs_value else None
 
     def environment(self, rate: int | None = None) -> Environment:
-        """Return the task's environment in PyBullet (in MuJoCo where it is missing), with the task's own rewards."""
+        """Return the task's environment in PyBullet (MuJoCo if PyBullet is missing), with the task's own rewards."""
         return make_environment(self.task, rate)
 
     @property
     def in_fleet(self) -> bool:
-        """Whether it learns in a fleet: the ladder's tasks all do."""
+        """Whether training uses a fleet, as for all tasks of the ladder."""
         return True
 
     def fleet_reward(self, robots: int) -> FleetReward | None:
-        """Return what the way pays a fleet of so many robots."""
+        """Return the way's reward for a fleet of the given size."""
         way, task = self.way, self.task
         if way.reward == "none":
             return None
@@ -121,7 +121,7 @@ class LadderRun(SimulatedRun):
         return TimeToGo(self.value, self.task) if self.way.needs_mpc else TimeToReach(load_value(self.value))
 
     def environments(self, algorithm: str) -> FleetEnvironments:
-        """Return the fleet of an algorithm, which starts as the way says."""
+        """Return an algorithm's fleet, with the way's start states."""
         robots = number_of_environments(algorithm)
         starts = None
         if self.way.starts == "grow":
@@ -130,7 +130,7 @@ class LadderRun(SimulatedRun):
         return FleetEnvironments(self.task, robots, self.fleet_reward(robots), starts)
 
     def model(self, samples: int) -> BaseAlgorithm:
-        """Return the untrained algorithm with its own environments, for so many samples."""
+        """Return the untrained algorithm with its environments, for a total number of samples."""
         way = self.way
         changes: dict[str, Any] = {"gamma": GAMMA}
         if self.learner == "ppo":
@@ -161,7 +161,7 @@ def ladder_runs(
     values: Mapping[str, Path],
     mpc_values: Mapping[str, Path] = MappingProxyType({}),
 ) -> list[LadderRun]:
-    """Return all runs, those that tell most first: the main ways by PPO, then by the other learners, then the rest.
+    """Return all runs, the most informative first: the main ways with PPO, then with other learners, then the rest.
 
     Args:
         tasks: Names of tasks, or their files.
@@ -169,7 +169,7 @@ def ladder_runs(
         learners: Names of learners.
         seeds: Number of seeds.
         values: File of each task's time to reach.
-        mpc_values: Folder of MPC's trajectories of each task, for the ways that ask them.
+        mpc_values: Folder of MPC's trajectories of each task, for the ways that use them.
     """
     ordered = sorted(ways, key=list(WAYS).index)
     return [

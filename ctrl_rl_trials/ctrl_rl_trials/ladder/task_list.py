@@ -1,4 +1,4 @@
-"""The tasks of the ladder, from easy to hard; methods are set on the two of `PRACTICE`, which do not count."""
+"""Tasks of the ladder; methods are tuned on the two tasks of `PRACTICE`, which do not count as results."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ LADDER = (
     "wall",
     "open_field",
 )
-"""Names of the tasks that count, those that tell most first."""
+"""Names of the tasks that count, the most informative first."""
 PRACTICE = ("practice_corner", "practice_turn")
-"""Names of the tasks that methods are set on."""
+"""Names of the tasks on which methods are tuned."""
 
 
 def ladder_file(name_or_path: str) -> str:
-    """Return the file of a task of the ladder by its name; anything else as it is."""
+    """Return the file of a ladder task, given its name; return any other argument unchanged."""
     return str(FOLDER / f"{name_or_path}.yaml") if name_or_path in (*LADDER, *PRACTICE) else name_or_path
 
 

@@ -1,1 +1,1 @@
-"""Closed loops from bags: drive, learn, evaluate, drive again."""
+"""Closed loops of offline learning: drive, learn from the bags, evaluate, drive again."""

@@ -1,7 +1,7 @@
 """The closed loop: drive, record, relabel, learn from bags alone, evaluate offline, drive again, compare.
 
-Round 0 is a scripted driver. Each later round learns from the bags of all rounds before, and records drives of the new
-policy with some noise. A run goes on where it was cut off: what a finished step wrote is not made again.
+In round 0 a scripted driver drives. Each later round learns from the bags of all earlier rounds and records drives of
+the new policy with some noise. An interrupted run resumes after its last finished step.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ class LoopSettings:
     """Settings of a loop.
 
     Attributes:
-        method: Way of learning, one of `METHODS`.
-        rounds: Number of rounds after the scripted driver's.
-        episodes: Number of recorded episodes of each round.
-        tests: Number of episodes that success is counted in.
-        updates: Number of updates of the networks.
+        method: Learning method, one of `METHODS`.
+        rounds: Number of rounds after the scripted driver's round.
+        episodes: Number of recorded episodes per round.
+        tests: Number of test episodes per policy.
+        updates: Number of network updates.
         noise: Noise of the recorded drives, see `NoisyPolicy`.
         engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
         fit_updates: Number of updates of the offline evaluation.
-        clearance: Room to obstacles that the value which teaches keeps [m]; None for half the body's radius.
+        clearance: Clearance to obstacles in the value function that teaches [m]; None for half the body's radius.
     """
 
     method: str
@@ -71,14 +71,14 @@ class LoopSettings:
 def run_loop(
     task: NavigationTask, folder: Path, settings: LoopSettings, values_folder: Path, tell: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """Return what each round came to, as JSON: success and return as driven, and what the bags said before.
+    """Return the results of each round, as JSON: driven success and return, and the prediction from the bags.
 
     Args:
         task: Task of a robot on wheels with a time to reach.
         folder: Folder of the run.
         settings: Settings of the loop.
-        values_folder: Folder of times to reach, solved where they are not there yet.
-        tell: Takes a line about each round.
+        values_folder: Folder of times to reach; missing ones are solved.
+        tell: Callback for a line about each round.
 
     Raises:
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
@@ -115,7 +115,7 @@ def _drivers(
     number: int,
     result: dict[str, Any],
 ) -> tuple[RandomDriver, RandomDriver]:
-    """Return the driver whose drives are recorded and the one whose success is counted."""
+    """Return the driver to record and the driver to test."""
     if not bags:
         return ScriptedDriver(task), ScriptedDriver(task)
     file = here / "policy.safetensors"
@@ -131,7 +131,7 @@ def _drivers(
 def _predict(
     transitions: Transitions, task: NavigationTask, file: Path, values: StateValues, settings: LoopSettings
 ) -> dict[str, Any]:
-    """Return what the bags say about a policy before it drives: against the driver of the last round."""
+    """Return the prediction from the bags for a policy, relative to the driver of the last round."""
     report = evaluate_offline(
         transitions, task, Actor.load(file), values, discount=DISCOUNT, updates=settings.fit_updates, fits=2
     )
@@ -154,7 +154,7 @@ def _record(
 ) -> None:
     """Record drives and relabel them."""
     bag, labelled = here / "bag", here / "labelled"
-    for left in (bag, labelled):  # of a call that was cut off
+    for left in (bag, labelled):  # left by an interrupted call
         rmtree(left, ignore_errors=True)
     drive(task, driver, settings.episodes, seed, bag, settings.engine)
     relabel(bag, labelled, function, evaluator)

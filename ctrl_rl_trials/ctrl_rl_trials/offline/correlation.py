@@ -1,6 +1,6 @@
-"""How well predictions from bags agree with what policies then earn: many policies, learnt well and badly.
+"""Agreement between returns predicted from bags and driven returns, over many policies of varying quality.
 
-The policies learn from the bags of one seed. Each seed has bags of its own, from which all policies are predicted.
+The policies learn from the bags of one seed. Each seed's own bags give a prediction for every policy.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _TOLD = ("replayed", "better", "driver")
 
 @dataclass(frozen=True)
 class Candidate:
-    """A policy to be learnt: method, updates, value function, and temperature of the weights."""
+    """Specification of a policy: method, updates, value function, and temperature of the weights."""
 
     method: str
     updates: int
@@ -54,7 +54,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Name of its file."""
+        """Name of the policy's file."""
         return "-".join(filter(None, (self.method, self.value, str(self.updates), str(self.temperature))))
 
 
@@ -86,10 +86,10 @@ class CorrelationSettings:
 
     Attributes:
         seeds: Number of seeds.
-        episodes: Number of episodes of each seed's bag.
-        tests: Number of episodes that a policy drives.
+        episodes: Number of episodes in each seed's bag.
+        tests: Number of test episodes per policy.
         fit_updates: Number of updates of the offline evaluation.
-        fits: Number of its fits.
+        fits: Number of fits of the offline evaluation.
         engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
     """
 
@@ -104,13 +104,13 @@ class CorrelationSettings:
 def compare(
     task: NavigationTask, folder: Path, settings: CorrelationSettings, tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Return what policies earned, and what was predicted of them from the bags of each seed, as JSON.
+    """Return each policy's driven return and its predictions from the bags of each seed, as JSON.
 
     Args:
-        task: Task of a robot on wheels with a time to reach.
-        folder: Folder of the run, which goes on where it was cut off.
+        task: Task of a wheeled robot with a time to reach.
+        folder: Folder of the run, which resumes there.
         settings: Settings of the comparison.
-        tell: Takes a line about each policy.
+        tell: Callback for a line about each policy.
 
     Raises:
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
@@ -129,13 +129,13 @@ def compare(
 
 
 class Agreement(NamedTuple):
-    """How well an estimate agrees with what the policies earned.
+    """Agreement between an estimate and the driven returns.
 
     Attributes:
-        correlation: Correlation of each seed (seeds,).
-        ranks: Rank correlation of each seed (seeds,).
-        regret: Return lost by driving the policy with the best estimate, as a share of that between the best policy
-            and the worst, of each seed (seeds,).
+        correlation: Correlation for each seed (seeds,).
+        ranks: Rank correlation for each seed (seeds,).
+        regret: Return lost by choosing the policy with the best estimate, as a fraction of the difference between the
+            best and the worst policy, for each seed (seeds,).
         interval: 95 % interval of the correlation over resampled policies and seeds (2,).
     """
 
@@ -146,7 +146,7 @@ class Agreement(NamedTuple):
 
 
 def agreements(found: dict[str, Any]) -> dict[str, Agreement]:
-    """Return how well each estimate agrees with the returns driven, by its name."""
+    """Return the agreement of each estimate with the driven returns, by name."""
     driven = np.array([each["return"] for each in found["driven"]])
     random = np.random.default_rng(0)
     out = {}
@@ -168,7 +168,7 @@ def agreements(found: dict[str, Any]) -> dict[str, Agreement]:
 
 
 def _ranks(numbers: Array) -> Array:
-    """Return the ranks of numbers (n,), the mean rank of those that are equal."""
+    """Return the ranks of numbers (n,); equal numbers get their mean rank."""
     return np.asarray((numbers[:, None] > numbers).sum(axis=1) + 0.5 * (numbers[:, None] == numbers).sum(axis=1), float)
 
 
@@ -194,7 +194,7 @@ def _drive(
     settings: CorrelationSettings,
     tell: Callable[[str], None],
 ) -> dict[str, Any]:
-    """Learn a policy and drive it."""
+    """Train a policy and drive its test episodes."""
     file = folder / f"{candidate.name}.safetensors"
 
     def work() -> dict[str, float]:

@@ -1,1 +1,1 @@
-"""Ways to use a time to reach in learning."""
+"""Ways to use the time to reach in reinforcement learning."""

@@ -1,4 +1,4 @@
-"""The time to reach before learning: V as a baseline and as a first critic; demonstrations of its greedy control."""
+"""The time to reach as prior knowledge: V as baseline or initial critic, and demonstrations of its greedy control."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _STATES, _STEPS, _BATCH, _RATE = 8192, 600, 256, 1e-3
 
 
 class TimeToReachBaseline:
-    """V of the state that is part of an observation, in units of the learner's reward; 0 where there is no way.
+    """V of the state inside an observation, in units of the learner's reward; 0 where the goal is unreachable.
 
     Args:
         potential: Time to reach of the task.
-        task: Task whose observations are given, as `ctrl_rl_learning.sb3.environment` scales them.
+        task: Task of the observations, scaled as in `ctrl_rl_learning.sb3.environment`.
         gamma: Discount of a step.
     """
 
@@ -41,7 +41,7 @@ class TimeToReachBaseline:
 
 
 def fit_critic(model: BaseAlgorithm, baseline: TimeToReachBaseline, seed: int) -> None:
-    """Teach the critic of an untrained policy gradient V, on what random actions from the task's starts observe."""
+    """Fit the critic of an untrained policy-gradient learner to V, on observations of random roll-outs."""
     policy: torch.nn.Module = model.policy
     environments = model.env
     assert environments is not None
@@ -62,14 +62,14 @@ def fit_critic(model: BaseAlgorithm, baseline: TimeToReachBaseline, seed: int) -
 
 
 SAMPLES = 2048
-"""Samples of demonstrations, which count as samples of the run."""
+"""Number of demonstration samples, which count as samples of the run."""
 _CLONING_STEPS, _CONTROLS = 1500, 5
 
 
 def demonstrate(
     environments: FleetEnvironments, task: NavigationTask, potential: TimeToReach, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return observations (N, d) and actions (N, 2) of the control with the least time to reach a step ahead."""
+    """Return observations (N, d) and actions (N, 2) of the control that minimises the time to reach one step ahead."""
     system = task.system.build()
     shares = np.linspace(-1.0, 1.0, _CONTROLS)
     actions = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -93,7 +93,7 @@ def demonstrate(
 
 
 def teach(model: BaseAlgorithm, seen: NDArray[np.float32], done: NDArray[np.float32], seed: int) -> None:
-    """Fit the mean of a policy gradient's actions to demonstrations."""
+    """Fit the mean action of a policy-gradient learner to demonstrations."""
     policy = model.policy
     random = np.random.default_rng(seed)
     inputs, wanted = torch.from_numpy(seen), torch.from_numpy(done)

@@ -1,4 +1,4 @@
-"""Training starts that grow with V: near the goal by the time to reach at first, and at the task's own in the end."""
+"""Start curriculum by the time to reach: starts near the goal at first, and the task's own starts in the end."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Array = NDArray[np.float64]
 
 _CANDIDATES = 20_000
 _OWN = 0.3
-"""Share of the episodes that start where the task says, whatever the level."""
+"""Share of the episodes that use the task's own starts at any level."""
 
 
 def levels(task: NavigationTask, potential: TimeToReach, seed: int = 0) -> tuple[Array, Array]:
-    """Return states (N, n) from which the goal can be reached, and their times (N,) [s], nearest first."""
+    """Return states (N, n) from which the goal is reachable, and their times to reach (N,) [s], in ascending order."""
     system = task.system.build()
     random = np.random.default_rng(seed)
     places = task.plane_bounds
@@ -33,13 +33,14 @@ def levels(task: NavigationTask, potential: TimeToReach, seed: int = 0) -> tuple
 
 
 class GrowingStarts:
-    """Starts in a level set of the time to reach that grows as a robot's episodes arrive.
+    """Curriculum of starts in a sublevel set of the time to reach, which grows with the robot's success.
 
-    An arrival raises the robot's level by a fortieth of the longest time; any other end lowers it by half as much.
+    Reaching the goal raises the robot's level by a fortieth of the longest time; any other outcome lowers it by half
+    as much.
 
     Args:
-        states: States (N, n), nearest first.
-        times: Their times to reach (N,) [s].
+        states: States (N, n) by ascending time to reach.
+        times: Times to reach of the states (N,) [s].
         robots: Number of robots.
     """
 
@@ -49,14 +50,14 @@ class GrowingStarts:
         self._levels = np.full(robots, 0.1 * self._longest)
 
     def draw(self, robot: int, random: np.random.Generator) -> Array | None:
-        """Return the state (n,) in which an episode of a robot starts; None where the task is to draw it."""
+        """Return the start state (n,) of a robot's next episode; None to let the task draw it."""
         if random.random() < _OWN:
             return None
         inside = int(np.searchsorted(self._times, self._levels[robot], "right"))
         return np.asarray(self._states[random.integers(max(1, inside))])
 
     def ended(self, robot: int, outcome: Outcome) -> None:
-        """Take how an episode of a robot ended."""
+        """Adjust a robot's level to the outcome of its episode."""
         share = 0.025 if outcome is Outcome.GOAL else -0.0125
         level = self._levels[robot] + share * self._longest
         self._levels[robot] = np.clip(level, 0.1 * self._longest, self._longest)

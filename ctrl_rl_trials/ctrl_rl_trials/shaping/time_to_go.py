@@ -1,4 +1,4 @@
-"""Seconds to the goal other than the time to reach: by distance, and by MPC's trajectories."""
+"""Alternatives to the time to reach: time to go by distance, and by MPC's trajectories."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from oc_baseline_node import DataSettings, OptimalControlProblem, ValueData, for
 
 Array = NDArray[np.float64]
 _FLIGHT = 2.0
-"""Speed that a distance is divided by where no command is a speed [m/s]."""
+"""Speed for converting distance to time if no command is a speed [m/s]."""
 
 
 class DistanceInSeconds:
-    """The straight way to the middle of the goal at the robot's largest speed."""
+    """Time along the straight line to the centre of the goal at the robot's maximum speed."""
 
     def __init__(self, task: NavigationTask) -> None:
         names = task.system.build().state_names
@@ -40,24 +40,24 @@ class DistanceInSeconds:
 
 
 TRAJECTORIES = 300
-"""Solved trajectories of a task, from random starts."""
+"""Number of trajectories to solve per task, from random starts."""
 _STEPS = 100
-"""Steps of a trajectory."""
+"""Number of steps per trajectory."""
 _NEIGHBOURS = 32
 _LEAST_RATE = 1e-6
 _LOOKS = np.linspace(0.0, 1.0, 8)[:-1]
-"""Where on the way to a neighbour an obstacle is looked for, as parts of it."""
+"""Fractions of the segment to a neighbour at which to check for obstacles."""
 
 
 def pose(task: NavigationTask) -> OptimalControlProblem:
-    """Return the optimal control problem of a task's time to go, made by one rule for all tasks.
+    """Return the optimal control problem for a task's time to go, formulated by the same rule for all tasks.
 
-    The steps of a trajectory are equal and free, and the longest trajectory lasts an episode. The state cost does not
-    grow and outweighs the controls' by far, so that trajectories are fast. A trap is no obstacle: the time to reach
-    knows none either.
+    All steps of a trajectory have one free length, and the longest trajectory lasts an episode. The state cost is
+    bounded and outweighs the control cost by far, so that trajectories are fast. A trap is not an obstacle, as in the
+    time to reach.
 
     Raises:
-        OcError: MPC does not know such a world.
+        OcError: MPC cannot handle such a world.
     """
     longest = task.episode.steps * task.episode.time_step
     spec = OptimalControlSpec.model_validate(
@@ -78,18 +78,18 @@ def pose(task: NavigationTask) -> OptimalControlProblem:
 
 
 def find_or_solve_trajectories(task: NavigationTask, folder: Path, workers: int = 1) -> Path:
-    """Return the folder of MPC's trajectories of this version of a task; what it lacks is solved now.
+    """Return the folder of MPC's trajectories for this version of a task, after solving the missing ones.
 
     Args:
         task: Task in an arena.
-        folder: Folder in which those of each task have one of their own.
-        workers: Processes that solve.
+        folder: Folder with one subfolder per task.
+        workers: Number of solver processes.
 
     Raises:
-        OcError: MPC does not know such a world, or finds hardly any trajectory to the goal.
-        LockError: Another call works in the folder.
+        OcError: MPC cannot handle such a world, or finds hardly any trajectory to the goal.
+        LockError: Another call is using the folder.
     """
-    # CasADi is only needed here: whoever has the trajectories learns without it.
+    # Only this step needs CasADi: with the trajectories at hand, training works without it.
     from oc_baseline_node import make_data
 
     problem = pose(task)
@@ -101,19 +101,20 @@ def find_or_solve_trajectories(task: NavigationTask, folder: Path, workers: int 
 class TimeToGo:
     """Time to go by the trajectories of `find_or_solve_trajectories`.
 
-    It is the least over the nearest of their states that are in sight, of what each has left to the goal and the time
-    between at the fastest rates that trajectories show. A network would smooth it across walls, where it jumps.
+    The time to go is the minimum, over the nearest visible trajectory states, of the travel time to that state (at the
+    highest rates in the trajectories) plus the state's remaining time to the goal. A network would smooth the jumps of
+    this function at walls.
 
     Args:
         folder: Folder of the trajectories.
-        task: Task that they belong to.
+        task: Task of the trajectories.
 
     Attributes:
         longest: Time of the longest trajectory [s].
         digest: SHA-256 of the trajectories.
 
     Raises:
-        OcError: They belong to another task, or some are missing.
+        OcError: The trajectories belong to another task, or some are missing.
     """
 
     def __init__(self, folder: Path, task: NavigationTask) -> None:
@@ -130,7 +131,7 @@ class TimeToGo:
         self._positions, self._obstacles = problem.positions, problem.obstacles
 
     def times(self, states: Array) -> Array:
-        """Return the times (N,) from states (N, n) to the goal [s]; +inf where no state of a trajectory is in sight."""
+        """Return the times to go (N,) from states (N, n) [s]; +inf where no trajectory state is visible."""
         apart, index = self._tree.query(self._in_seconds(states), k=_NEIGHBOURS)
         way = self._places[index] - states[:, None, self._positions]
         between = states[:, None, None, self._positions] + _LOOKS[:, None] * way[:, :, None]
@@ -139,14 +140,14 @@ class TimeToGo:
         return np.where(least <= self.longest, least, np.inf)
 
     def _in_seconds(self, states: Array) -> Array:
-        """Return states (N, n) as coordinates (N, m) [s], at the fastest rates; an angle is a point of a circle."""
+        """Return states (N, n) as coordinates (N, m) [s], scaled by the highest rates; angles map to a circle."""
         angles, rates = states[:, self._angles], self._rates[self._angles]
         straight = states[:, ~self._angles] / self._rates[~self._angles]
         return np.concatenate((straight, np.cos(angles) / rates, np.sin(angles) / rates), axis=1)
 
 
 def _time_left(task: NavigationTask, data: ValueData) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time to the first state in the goal (N, H+1) [s], and which states come before or are it."""
+    """Return the time to the first state in the goal (N, H+1) [s], and which states are not after it."""
     arrived = np.argmax(TaskSets(task).outcomes(data.states) == Outcome.GOAL, axis=1)
     steps = arrived[:, None] - np.arange(data.states.shape[1])
     return np.maximum(steps, 0) * data.time_steps[:, None], steps >= 0

@@ -1,4 +1,4 @@
-"""The ways that are compared: same networks, samples and seeds, another use of the value; one setting for all tasks."""
+"""The compared ways: same networks, samples and seeds, different uses of the value, one setting for all tasks."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from types import MappingProxyType
 from typing import Literal
 
 GAMMA = 0.99
-"""Discount of a step, for all ways."""
+"""Discount per step, for all ways."""
 LEARNERS = ("ppo", "sac")
 """Learners of the ladder."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to use the time to reach, or to do without.
+    """Way to use the time to reach, or to learn without it.
 
     Attributes:
         label: Name in tables and pictures.
         reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus
-            the time to reach (thesis Eq. 3.9); or a kind of
-            `ttr_reward_node.rewards.progress.PAYS`.
-        of: Potential in which progress is measured: the time to reach, MPC's time to go, or the distance in seconds.
+            the time to reach (thesis Eq. 3.9); or one of `ttr_reward_node.rewards.progress.PAYS`.
+        of: Potential phi that measures progress: the time to reach, MPC's time to go, or the distance in seconds.
         baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
             "corrected" part, or critic that "begins" as V.
-        gae_lambda: lambda of the returns.
-        starts: Where training episodes start: as the task says, or in level sets of phi that "grow".
-        demonstrations: Whether the policy is first taught by the greedy control of phi.
+        gae_lambda: Lambda of the returns.
+        starts: Starts of training episodes: the task's own, or sublevel sets of phi that "grow".
+        demonstrations: Whether the policy first imitates the greedy control of phi.
     """
 
     label: str
@@ -40,24 +39,24 @@ class Variant:
 
     @property
     def learners(self) -> tuple[str, ...]:
-        """Learners that it works with."""
+        """Learners that support this way."""
         return (
             LEARNERS if self.baseline == "learnt" and self.gae_lambda == 0.95 and not self.demonstrations else ("ppo",)
         )
 
     @property
     def needs_value(self) -> bool:
-        """Whether it asks the time to reach."""
+        """Whether this way uses the time to reach."""
         return (self.reward not in ("none", "distance") and self.of == "time to reach") or self.uses_states
 
     @property
     def needs_mpc(self) -> bool:
-        """Whether it asks MPC's time to go."""
+        """Whether this way uses MPC's time to go."""
         return self.of == "time to go"
 
     @property
     def uses_states(self) -> bool:
-        """Whether baseline, starts or demonstrations ask the time to reach."""
+        """Whether baseline, starts or demonstrations use the time to reach."""
         return self.baseline != "learnt" or self.starts == "grow" or self.demonstrations
 
 
@@ -81,9 +80,9 @@ WAYS: Mapping[str, Variant] = MappingProxyType(
         "v_corrected_lambda_0.7": Variant("V corrected, λ = 0.7", baseline="corrected", gae_lambda=0.7),
     }
 )
-"""All ways by name, those that tell most first."""
+"""All ways by name, the most informative first."""
 BY_DEFAULT = tuple(name for name, way in WAYS.items() if not way.needs_mpc)
-"""Ways that are run unless others are asked for: MPC takes minutes a task, and does not know every world."""
+"""Default ways, without MPC, which takes minutes per task and cannot handle every world."""
 MAIN = (
     "best_progress",
     "sparse",
@@ -94,4 +93,4 @@ MAIN = (
     "ttr",
     "v_corrected",
 )
-"""Ways of the figure."""
+"""Ways that the figure shows."""

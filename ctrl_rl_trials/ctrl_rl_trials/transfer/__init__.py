@@ -1,1 +1,1 @@
-"""A policy on a robot that it was not learnt on."""
+"""Transfer of a policy to a robot on which it was not trained."""

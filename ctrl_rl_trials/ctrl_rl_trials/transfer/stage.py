@@ -19,22 +19,22 @@ from ctrl_rl_core import task_file
 from ctrl_rl_trials.errors import TrialError
 
 _OPEN = {"lidar_x": 0.0, "min_echo_share": 0.0, "largest_gap": 6.3}
-"""Parameters of nodes in an arena that is wider than its lidar sees."""
+"""Node parameters for an arena that is wider than the lidar's range."""
 _FILTER_PERIOD = 0.11
 _END_S = 20.0
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of the study.
+    """Stage of the study.
 
     Attributes:
         folder: Folder of the stage.
-        task: Name of the task, one of a car's.
-        policy: Policy to begin with.
+        task: Name of a car task.
+        policy: Initial policy.
         engine: Physics engine of the robot.
-        delay: Time from the arrival of a command to its effect [s]; the safety filter knows it.
-        arguments: More words for `fine_tune`.
+        delay: Time from the arrival of a command to its effect [s]; the safety filter accounts for it.
+        arguments: Additional arguments of `fine_tune`.
     """
 
     folder: Path
@@ -45,7 +45,7 @@ class Stage:
     arguments: tuple[str, ...]
 
     def run(self) -> Mapping[str, Any]:
-        """Return the result of `fine_tune`, driven now unless an earlier call did it.
+        """Return the result of `fine_tune`, from an earlier call or from running it now.
 
         Raises:
             TrialError: One of the processes failed.
@@ -76,7 +76,7 @@ class Stage:
 
 
 def _with_whole_scan(task: str) -> dict[str, Any]:
-    """Return a task's content with a lidar that looks all around: the safety filter must see what it keeps clear of."""
+    """Return a task's content with a 360-degree lidar, because the safety filter must see what it avoids."""
     content: dict[str, Any] = yaml.safe_load(task_file(task).read_text(encoding="utf-8"))
     around = {"beams": 360, "field": "-180.0 .. 180.0 deg", "placement": "edges", "noise": "0.01 m"}
     return {**content, "lidar": {**content["lidar"], **around}}
