@@ -81,7 +81,7 @@ class Panel:
         title: Name of the task or learner; empty for a single panel.
         lines: At most `MOST_LINES` lines.
         limits: Values of thin horizontal lines by name, such as the maximum return.
-        published: Published results by name: environment steps and mean.
+        published: Published results by name: mean after numbers of environment steps.
         missing: Methods that were not run, named in the panel.
     """
 
@@ -141,9 +141,12 @@ def _draw_panel(ax: Axes, panel: Panel, measure: str, taken: dict[str, Style], a
         ax.axhline(height, color=FAINT, linewidth=0.8)
         names.append((name, height, FAINT))
     for (name, points), marker in zip(panel.published.items(), _MARKERS, strict=False):
-        steps = [each / 1000.0 for each in points]
-        ax.plot(steps, list(points.values()), marker, color=BLACK, markersize=5, linestyle="None")
-        word_at(ax, name, (steps[0], next(iter(points.values()))))
+        steps, heights = [each / 1000.0 for each in points], list(points.values())
+        ax.plot(steps, heights, marker, color=BLACK, markersize=4, linestyle=":", linewidth=0.8)
+        if alone:
+            names.append((name, heights[-1], BLACK))
+        else:
+            word_at(ax, name, (steps[0], heights[0]))
     if panel.missing:
         ax.text(0.03, 0.5, "not run: " + ", ".join(panel.missing), transform=ax.transAxes, wrap=True)
     if alone:

@@ -1,4 +1,4 @@
-"""Curves of last policies, merged over commands with different seeds, and published results of others."""
+"""Curves of last policies, merged over commands with different seeds."""
 
 from __future__ import annotations
 
@@ -11,18 +11,6 @@ from ctrl_rl_learning.study import Figures, ValueCurve, read_figures
 from pydantic import Field, model_validator
 
 from koopman_lqr_controller.errors import KoopmanError
-
-PUBLISHED: Mapping[str, Mapping[str, Mapping[int, float]]] = {
-    "cheetah_run": {
-        "MR.Q": {100_000: 648, 350_000: 881},
-        "SimbaV2": {100_000: 642, 350_000: 860},
-        "TD-MPC2": {100_000: 519, 500_000: 758},
-        "SAC": {100_000: 178, 350_000: 586},
-    },
-    "cartpole_swingup": {"SimbaV2": {100_000: 880}, "MR.Q": {100_000: 853}},
-    "cartpole_swingup_pixels": {"DrQ-v2": {100_000: 626, 200_000: 807, 500_000: 846}},
-}
-"""Published mean returns after a number of simulated frames, by task and method."""
 
 
 class SeedCurves(Schema):

@@ -12,8 +12,9 @@ from ctrl_rl_core.plots import MOST_LINES, RETURN, Line, Panel, best_of, draw_le
 from ctrl_rl_learning.study import Figures, Seeds, ValueCurve, read_figures
 from pydantic import Field, model_validator
 
-from koopman_lqr_controller.training.experiments.last_curves import PUBLISHED, LastPolicies
+from koopman_lqr_controller.training.experiments.last_curves import LastPolicies
 from koopman_lqr_controller.training.experiments.methods import METHODS
+from koopman_lqr_controller.training.experiments.references import published_means
 
 
 class Comparison(Figures):
@@ -118,7 +119,11 @@ def draw_last_policies(figures: Mapping[str, Any], path: Path) -> None:
         panels.setdefault(task, []).append(line_of(method, "the last policy", each["curve"]))
     title = "; ".join(f"{task}: {best_of(lines, RETURN)}" for task, lines in panels.items())
     shown = [
-        Panel(task if len(panels) > 1 else "", lines, published=PUBLISHED.get(task, {}))
+        Panel(
+            task if len(panels) > 1 else "",
+            lines,
+            published=published_means(task, max(line.steps[-1] for line in lines)),
+        )
         for task, lines in panels.items()
     ]
     draw_learning(path, title, shown, RETURN)
