@@ -20,7 +20,6 @@ _TEAM = """
 ros2 run option_coordinator loop --folder first --seeds 1 --rounds 1 --episodes 20 --tests 1
 learnt=$(echo first/tool_delivery-s0/round_1/learning/*/policy.safetensors)
 """
-_KOOPMAN = "--seeds 1 --samples 1000 --actions 500 --episodes 1 --consolidation 2"
 
 
 def _robot(task: str) -> str:
@@ -47,13 +46,7 @@ PAGES = {
         smaller={"ros2 run ctrl_rl_trials train": "--samples 2048"},
         skipped={"make ladder ": HOURS},
     ),
-    "docs/few_frames.md": Page(
-        600.0,
-        smaller={
-            "$train ": "--seeds 1 --samples 1000 --consolidation 0 --episodes 1",
-            "ros2 run koopman_lqr_controller train": "--seeds 1 --samples 1000 --consolidation 0 --episodes 1",
-        },
-    ),
+    "docs/few_frames.md": Page(600.0),
     "docs/howto/any_policy.md": Page(
         600.0,
         before=_robot("car_ttr")
@@ -77,13 +70,11 @@ PAGES = {
     "docs/howto/learn_offline.md": Page(
         900.0,
         before=f"{_LOOP} --seeds 1 --rounds 1 --tests 1 --updates 1\n"
-        "mkdir -p runs/drives && cp -r runs/first/car_navigation-value_model-s0/round_0/bag runs/drives/bag\n"
-        + _robot("car_navigation"),
-        smaller={
-            "ros2 run ctrl_rl_trials loop": "--seeds 1 --rounds 1 --episodes 10 --tests 5 --updates 200",
-            "ros2 run option_coordinator loop": "--seeds 1 --rounds 1 --tests 5",
-            "ros2 run ctrl_rl_trials correlation": "--seeds 1 --episodes 10 --tests 2",
-        },
+        "mkdir -p runs/drives runs/hall && cp -r runs/first/car_navigation-value_model-s0/round_0/bag runs/drives/bag\n"
+        "sed 's/^name: .*/name: hall/' "
+        '"$(python -c \'from ctrl_rl_core import task_file; print(task_file("car_navigation"))\')" > hall.yaml\n'
+        f"{_LOOP} --tasks hall.yaml --episodes 30 --seeds 1 --rounds 1 --tests 1 --updates 1\n"
+        "cp -r runs/first/hall-value_model-s0/round_0/bag runs/hall/bag\n" + _robot("car_navigation"),
     ),
     "docs/howto/many_machines.md": Page(
         0.0,
@@ -126,18 +117,12 @@ export PYTHONPATH=$PWD/packages:$PYTHONPATH
     ),
     "docs/howto/robot_learning.md": Page(
         300.0,
-        before="""
-mkdir mine && cp "$(python -c 'from ctrl_rl_core import task_file; print(task_file("car_ttr"))')" mine/car_ttr.yaml
-cp "$(python -c 'import ctrl_rl_core.robots as robots; print(robots.__path__[0])')"/turtlebot2.yaml mine.yaml
-sed -i 's/^name: .*/name: mine/' mine.yaml
-"""
-        + _robot("mine/car_ttr.yaml"),
         between={"ros2 run ctrl_rl_learning fine_tune": "stop_all"},
         smaller={
-            "ros2 run ctrl_rl_learning fine_tune": "--minutes 0.3 --starts simulator",
+            "ros2 run ctrl_rl_learning fine_tune": "--minutes 0.3",
             "ros2 run ctrl_rl_trials shift_study": "--seeds 1 --minutes 0.3 --tests 1",
         },
-        skipped={"ros2 run teleop_twist_keyboard": ROBOT},
+        skipped={"# on the robot\nros2 run ctrl_rl_safety": ROBOT, "ros2 run teleop_twist_keyboard": ROBOT},
     ),
     "docs/howto/safe_sets.md": Page(20.0),
     "docs/howto/safety_filter.md": Page(
@@ -189,8 +174,6 @@ sed -i 's/^name: .*/name: mine/' mine.yaml
         + _robot("curved_corridor"),
         between={"ros2 run koopman_lqr_controller controller": "sleep 2; stop_all"},
         smaller={
-            "ros2 run koopman_lqr_controller train": _KOOPMAN,
-            "ros2 run koopman_lqr_controller compare": _KOOPMAN,
             ".venv/bin/python test/stops.py": "--starts 1",
             "ros2 run ctrl_rl_bringup trials": "--seeds 1 --at-least 0",
         },
@@ -210,7 +193,7 @@ sed 's/^name: .*/name: my_team/' \
   "$(python -c 'from option_coordinator import team_file; print(team_file("delivery_team"))')" > my_team.yaml
 """,
         between={"ros2 run option_coordinator coordinator --ros-args -p team": "stop_all"},
-        smaller={"ros2 run option_coordinator train --task": "--seeds 1 --samples 75000 --evaluations 2"},
+        smaller={"ros2 run option_coordinator train --task": "--seeds 1"},
         skipped={"ros2 launch": ROS, "ros2 param ": ROS},
     ),
     "ttr_reward_node/README.md": Page(15.0, before=_robot("car_ttr"), skipped={"make ttr ": HOURS}),
