@@ -217,13 +217,13 @@ class LidarRobot(Commander):
             self._odometry_fault = str(error)
             self.halt(self._odometry_fault, message.header.stamp)
             return
+        if self._odometry.lacks_twist:
+            self.node.get_logger().warning(f"odometry: {NO_TWIST}", once=True)
         self.motion, self._odometry_fault = (float(odometry[V]), float(odometry[OMEGA_Z])), ""
         self.on_odometry(message, odometry)
 
     def hear_scan(self, message: LaserScan) -> None:
         """Read a scan, update the checks and pass the scan on."""
-        if self._odometry.lacks_twist:
-            self.node.get_logger().warning(f"odometry: {NO_TWIST}", once=True)
         self.scans += 1
         self.note_input("scan")
         ranges, scan = read_scan(message, self.settings["lidar_yaw"])
