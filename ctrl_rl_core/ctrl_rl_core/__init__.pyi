@@ -74,9 +74,9 @@ from .ros.parameters import ParameterError as ParameterError
 from .ros.running import run_node as run_node
 from .ros.value_server import SERVER_PARAMETERS as SERVER_PARAMETERS
 from .ros.value_server import ValueServer as ValueServer
+from .sensing.live_odometry import LiveOdometry as LiveOdometry
 from .sensing.odometry import OdometryError as OdometryError
 from .sensing.odometry import OdometryReader as OdometryReader
-from .sensing.live_odometry import LiveOdometry as LiveOdometry
 from .sensing.odometry import make_odometry as make_odometry
 from .sensing.odometry import read_odometry as read_odometry
 from .sensing.odometry_health import OdometryHealth as OdometryHealth
