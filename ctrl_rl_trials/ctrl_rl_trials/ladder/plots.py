@@ -13,7 +13,12 @@ from matplotlib.patches import Rectangle
 from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.shaping.variants import WAYS
 
-_COMPARED = {"best_progress": "best progress", "distance": "distance", "sparse": "sparse"}
+_COMPARED = {
+    "best_progress": "best progress",
+    "best_progress_geodesic": "geodesic",
+    "distance": "distance",
+    "sparse": "sparse",
+}
 """Ways that were trained on all tasks with the same seeds, by their names in the figure; tables show the others."""
 _SEEDS = 3
 """Minimum number of seeds for a task to appear in the figure."""

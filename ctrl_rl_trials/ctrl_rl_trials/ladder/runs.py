@@ -28,6 +28,7 @@ from ctrl_rl_core import NavigationTask
 from ctrl_rl_trials.errors import TrialError
 from ctrl_rl_trials.ladder.task_list import load_ladder_task
 from ctrl_rl_trials.shaping.baseline import TimeToReachBaseline, demonstrate, fit_critic, teach
+from ctrl_rl_trials.shaping.geodesic import GeodesicInSeconds
 from ctrl_rl_trials.shaping.starts import GrowingStarts, levels
 from ctrl_rl_trials.shaping.time_to_go import DistanceInSeconds, TimeToGo
 from ctrl_rl_trials.shaping.variants import GAMMA, MAIN, WAYS, Variant
@@ -118,6 +119,8 @@ class LadderRun(SimulatedRun):
     def _potential(self) -> Potential:
         if self.way.of == "distance":
             return DistanceInSeconds(self.task)
+        if self.way.of == "geodesic":
+            return _geodesic(self.task_name)
         return TimeToGo(self.value, self.task) if self.way.needs_mpc else TimeToReach(load_value(self.value))
 
     def environments(self, algorithm: str) -> FleetEnvironments:
@@ -181,6 +184,11 @@ def ladder_runs(
         for task in tasks
         if learner in WAYS[way].learners and (way in MAIN) == main
     ]
+
+
+@lru_cache(maxsize=2)
+def _geodesic(task_name: str) -> GeodesicInSeconds:
+    return GeodesicInSeconds(load_ladder_task(task_name))
 
 
 @lru_cache(maxsize=2)

@@ -21,6 +21,11 @@ _FLIGHT = 2.0
 """Speed for converting distance to time if no command is a speed [m/s]."""
 
 
+def top_speed(task: NavigationTask) -> float:
+    """Return the speed at which a distance counts as time [m/s]."""
+    return max(map(abs, task.robot.commands["v"])) if "v" in task.robot.commands else _FLIGHT
+
+
 class DistanceInSeconds:
     """Time along the straight line to the centre of the goal at the robot's maximum speed."""
 
@@ -28,7 +33,7 @@ class DistanceInSeconds:
         names = task.system.build().state_names
         self._first, self._second = position_indices(names)
         self._goal = task.goal.region.position
-        self._speed = max(map(abs, task.robot.commands["v"])) if "v" in task.robot.commands else _FLIGHT
+        self._speed = top_speed(task)
         corners = [
             (x, y) for x in task.plane_bounds[names[self._first]] for y in task.plane_bounds[names[self._second]]
         ]

@@ -21,7 +21,8 @@ class Variant:
         label: Name in tables and pictures.
         reward: Reward beside the task's sparse one: "none"; "distance", minus the distance to the goal; "ttr", minus
             the time to reach (thesis Eq. 3.9); or one of `ttr_reward_node.rewards.progress.PAYS`.
-        of: Potential phi that measures progress: the time to reach, MPC's time to go, or the distance in seconds.
+        of: Potential phi that measures progress: the time to reach, MPC's time to go, the distance in seconds, or
+            that of the shortest path round the obstacles.
         baseline: Use of V = 1000 gamma^(phi/dt) by the policy gradient: "frozen" baseline, baseline with a learnt
             "corrected" part, or critic that "begins" as V.
         gae_lambda: Lambda of the returns.
@@ -31,7 +32,7 @@ class Variant:
 
     label: str
     reward: Literal["none", "distance", "ttr", "progress", "best_progress", "shaping"] = "none"
-    of: Literal["time to reach", "time to go", "distance"] = "time to reach"
+    of: Literal["time to reach", "time to go", "distance", "geodesic"] = "time to reach"
     baseline: Literal["learnt", "frozen", "corrected", "begins"] = "learnt"
     gae_lambda: float = 0.95
     starts: Literal["task", "grow"] = "task"
@@ -67,6 +68,7 @@ WAYS: Mapping[str, Variant] = MappingProxyType(
         "distance": Variant("distance", "distance"),
         "progress": Variant("progress of time to reach", "progress"),
         "best_progress_distance": Variant("best progress of distance", "best_progress", "distance"),
+        "best_progress_geodesic": Variant("best progress of geodesic distance", "best_progress", "geodesic"),
         "progress_distance": Variant("progress of distance", "progress", "distance"),
         "ttr": Variant("-time to reach (Eq. 3.9)", "ttr"),
         "v_corrected": Variant("V as baseline, corrected", baseline="corrected"),
@@ -89,6 +91,7 @@ MAIN = (
     "distance",
     "progress",
     "best_progress_distance",
+    "best_progress_geodesic",
     "progress_distance",
     "ttr",
     "v_corrected",
