@@ -21,6 +21,7 @@ from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guid
 from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, moved, surfaces, thinned
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
 from ctrl_rl_safety.filter.evidence import Beams, EchoEvidence, beams_from, kinds_of
+from ctrl_rl_safety.filter.local_grid import grid_around
 from ctrl_rl_safety.filter.map_walls import Fixed
 from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
 from ctrl_rl_safety.filter.unblocking import Unblocking
@@ -29,18 +30,15 @@ from ctrl_rl_safety.filter.walls import Walls
 from ctrl_rl_safety.models.growth import Growth, unnoticed_speed
 from ctrl_rl_safety.models.motion import STANDS, motion_of
 from ctrl_rl_safety.models.robot_model import RobotModel
-from ctrl_rl_safety.sets.distance_field import NODES, NONE, Obstacles, obstacles_around
-from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, brake_ladder, solve_set
+from ctrl_rl_safety.sets.distance_field import NONE, Obstacles, obstacles_around
+from ctrl_rl_safety.sets.recoverable_set import RecoverableSet, solve_set
 
 Array = NDArray[np.float64]
 
 STEP = 0.02
 """Time step of the roll-outs [s]."""
-_LEAST_CELL = 0.025
 _LAGS = 6.0
 """Maximum duration of the end of a braking manoeuvre, in time constants of the exponential decay."""
-_LATEST = 0.5
-"""Scan age for which the local grid is sized [s]."""
 _LATE = 0.06
 """Maximum delay of a scan beyond its usual interval [s]."""
 _LONGEST_INTERVAL = 0.5
@@ -70,24 +68,12 @@ class SafetyFilter:
         Raises:
             SafetyError: The robot brakes too slowly for a certificate to cover its stop.
         """
-        braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
-        if braking > STEP * MOST_STEPS:
-            raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
-        self.model, self.options = model, options or FilterOptions()
-        value = self.options
-        begun = unnoticed_speed(SAME + 2.0 * model.range_error, value.standing_time, value.mover_acceleration)
-        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, begun)
-        self._motion = motion_of(model, STEP)
+        self.options = value = options or FilterOptions()
+        self.reach = 0.0
+        self.adopt(model)
         self._hold = max(1, math.ceil(value.period / STEP))
         # A corner of a rectangle may dip into a surface by half the spacing of its points.
         self._side = max(model.range_error if model.length else _SIDE * model.radius, _LEAST_SIDE)
-        ladder = brake_ladder(model)
-        top = float(ladder.speeds[-1])
-        latest = _LATEST + model.scan_age + model.delay + value.period
-        half = top * latest + model.stopping_distance(top) + model.radius + model.range_error
-        self._cell = max(2.0 * half / (NODES - 1), _LEAST_CELL)
-        coming = (value.mover_speed + model.disturbance) * (latest + ladder.time_to_stand(top))
-        self.reach = 0.71 * self._cell * NODES + model.radius + model.range_error + coming
         self._memory = EchoMemory(value.standing_time)
         self._evidence = EchoEvidence(model, self.reach)
         self._space = SeenSpace(self.reach, model.radius) if value.unseen == "obstacle" else None
@@ -101,6 +87,22 @@ class SafetyFilter:
         self._kind, self._evading = 0, False
         self._last_v = 0.0
         self._certified: tuple[float, Verdict, Situation] | None = None
+
+    def adopt(self, model: RobotModel) -> None:
+        """Use a model of the same robot with other bounds of its motion from the next command and set on.
+
+        Raises:
+            SafetyError: The robot brakes too slowly for a certificate to cover its stop.
+        """
+        braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
+        if braking > STEP * MOST_STEPS:
+            raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
+        value = self.options
+        begun = unnoticed_speed(SAME + 2.0 * model.range_error, value.standing_time, value.mover_acceleration)
+        self.model, self._motion = model, motion_of(model, STEP)
+        self._growth = Growth(model.disturbance, value.mover_speed, value.mover_acceleration, begun)
+        self._cell, reach = grid_around(model, value)
+        self.reach = max(self.reach, reach)
 
     def see(
         self,

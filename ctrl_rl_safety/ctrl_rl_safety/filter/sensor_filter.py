@@ -13,6 +13,7 @@ from ctrl_rl_safety.filter.evidence import beams_of
 from ctrl_rl_safety.filter.map_walls import MapWalls
 from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.verdict import Mode, Reading, Verdict
+from ctrl_rl_safety.monitor.robot_monitor import RobotMonitor
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,7 @@ class SensorFilter:
         set_period: Interval between solutions of the recoverable set, each for the last scan [s]; 0 to solve for each
             scan, infinite for no set.
         walls: Map in whose frame the sensors' pose is given, or None.
+        monitor: Monitor of the same robot, whose bounds the filter uses from now on; None to trust the model.
 
     Attributes:
         looks: Whether the filter needs every scan of the lidar: always.
@@ -36,9 +38,15 @@ class SensorFilter:
     """
 
     def __init__(
-        self, safety: SafetyFilter, lidar_x: float, set_period: float = 0.0, walls: MapWalls | None = None
+        self,
+        safety: SafetyFilter,
+        lidar_x: float,
+        set_period: float = 0.0,
+        walls: MapWalls | None = None,
+        monitor: RobotMonitor | None = None,
     ) -> None:
         self._safety, self._lidar_x, self._set_period, self._walls = safety, lidar_x, set_period, walls
+        self._monitor = monitor
         self._solved_at = -math.inf
         self.looks, self.changed = True, False
         self.verdict: Verdict | None = None
@@ -55,10 +63,21 @@ class SensorFilter:
                 fixed = self._walls.fixed(sensors.pose, pose)
             beams = beams_of(sensors.ranges, sensors.scan, self._lidar_x)
             safety.see(now, pose, points, fixed=fixed, beams=beams)
+            if self._monitor is not None:
+                self._monitor.mounting.look(pose, points)
             if self._set_period < math.inf and now - self._solved_at >= self._set_period - _ROUNDING_S:
                 self._solved_at = now
                 safety.use(safety.solve())
+        if self._monitor is not None:
+            self._monitor.motion.measure(now, pose, *sensors.speeds)
+            if safety.model != self._monitor.model:
+                safety.adopt(self._monitor.model)
         verdict = safety.decide(now, Reading(pose, *sensors.speeds), command)
-        safety.sent(now, verdict.command)
-        self.verdict, self.changed = verdict, verdict.mode is not Mode.PASSED
-        return verdict.command
+        sent = verdict.command
+        if self._monitor is not None:
+            if self._monitor.problem:
+                sent = safety.stopping(now)
+            self._monitor.motion.sent(now, sent)
+        safety.sent(now, sent)
+        self.verdict, self.changed = verdict, verdict.mode is not Mode.PASSED or sent is not verdict.command
+        return sent

@@ -1,0 +1,150 @@
+"""Tells from commands and measurements of one speed how late and how slowly it follows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ctrl_rl_safety.monitor.explanations import Grown, explained
+from ctrl_rl_safety.monitor.following import (
+    BUILDS_LATE,
+    FITS,
+    JITTER,
+    LEADS,
+    SHEDS_LATE,
+    Hypotheses,
+    advance,
+    command_range,
+    judge,
+)
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LATER = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
+"""Delays beyond the stated one that are told apart [s]."""
+_RELATIVE = 0.02
+"""Error of a measured speed relative to it."""
+LARGEST_GAIN = 0.3
+"""Fraction by which a speed may exceed its command at most."""
+UNKNOWN = 1e3
+"""Size of a command that nobody knows [unit]."""
+_STAYS = 1.0
+"""Time for which a growth of bounds must have explained the motion to outlast what nothing explains [s]."""
+
+
+class Follower:
+    """Hypotheses about how one speed follows its commands, and the bounds that follow from those left.
+
+    Args:
+        delay: Stated delay [s].
+        lag: Stated lag [s].
+        builds: Edges of the intervals of the building rate, in the order in which bounds grow (k + 1,) [unit/s].
+        stated: Number of those intervals that the model allows.
+        sheds: Edges of the intervals of the shedding rate, from the highest one down (j + 1,) [unit/s].
+        error: Error of a measurement near zero [unit].
+        tied: Whether both rates are one, so that each building interval goes with the shedding interval of its index.
+
+    Attributes:
+        grown: Indices of the bounds that cover what was seen.
+        gain: Fraction by which the speed has exceeded its command.
+        lost: Whether the speed returns to zero more slowly than any hypothesis says.
+    """
+
+    def __init__(
+        self,
+        delay: float,
+        lag: float,
+        builds: Sequence[tuple[float, float]],
+        stated: int,
+        sheds: Sequence[tuple[float, float]],
+        error: float,
+        tied: bool = False,
+    ) -> None:
+        shape = len(LATER), 1 if tied else len(builds), len(sheds)
+        at, up, down = (each.ravel() for each in np.indices(shape))
+        build, shed = np.array(sheds if tied else builds), np.array(sheds)
+        longest = delay + np.array(LATER)
+        shortest = np.concatenate(((0.0,), longest[:-1]))
+        self._those = Hypotheses(at.astype(np.int64), shortest, longest, build[down if tied else up], shed[down], lag)
+        self._shape, self._error, self._tied = shape, error, tied
+        self._longest = float(longest[-1]) + JITTER
+        self._known = Grown(0, 0 if tied else stated - 1, 0)
+        self.grown, self.gain, self.lost = self._known, 0.0, False
+        self._later, self._grown_at = np.array(LATER), 0.0
+        self._worst = (at == shape[0] - 1) & (down == shape[2] - 1)
+        self._low, self._high = np.zeros(at.size), np.zeros(at.size)
+        self._gone, self._ahead = np.zeros(at.size, np.bool_), np.zeros(at.size, np.bool_)
+
+    def error(self, value: float) -> float:
+        """Return the bound of the error of a measured speed [unit]."""
+        return self._error + _RELATIVE * abs(value)
+
+    def begin(self, value: float) -> None:
+        """Take a measurement for the present speed, whatever was before it."""
+        error = self.error(value)
+        self._low[:], self._high[:] = value - error, value + error
+
+    def told(self, sent: Array, time: float) -> tuple[float, float]:
+        """Return the range of commands that may be in effect at a time [s] by any hypothesis; `UNKNOWN` if unknown."""
+        least, most = command_range(sent, time - self._longest, time)
+        return float(least), float(most)
+
+    def open(self) -> Flags:
+        """Return which hypotheses the motion has left open (delays, building rates, shedding rates)."""
+        return ~(self._gone | self._ahead).reshape(self._shape)
+
+    def measure(self, sent: Array, begin: float, end: float, value: float, coupled: bool, delay: int) -> None:
+        """Judge all hypotheses by a measurement.
+
+        Args:
+            sent: Time, lowest and highest value of each command, oldest first (k, 3).
+            begin: Time of the last measurement [s].
+            end: Time of this one [s].
+            value: Measured speed [unit].
+            coupled: Whether another speed may have claimed the force meanwhile.
+            delay: Interval of the delay that is known from another speed.
+        """
+        falling, rising = advance(self._those, self._low, self._high, sent, begin, end, self.gain, coupled, self._error)
+        found = judge(self._low, self._high, falling, rising, self._gone, value, self.error(value))
+        late = (found == SHEDS_LATE) | (found == BUILDS_LATE)
+        if not late.any() and not (found == LEADS).any():
+            return
+        before, known = self._ahead.copy(), self._known.beside(Grown(delay, 0, 0))
+        self._gone |= late
+        self._ahead |= found == LEADS
+        left = ~(self._gone | self._ahead)
+        if left.any():
+            self._grow(self._explained(left, known), end)
+            return
+        if end - self._grown_at >= _STAYS:
+            self._known = self.grown
+        # Hypotheses that were too pessimistic before fit again if the robot has changed.
+        again = before & (found == FITS)
+        worst, told = found[self._worst], max(abs(each) for each in self.told(sent, end))
+        if again.any():
+            self._known = self._explained(again, known)
+        elif 0.0 < told < UNKNOWN and abs(value) - self.error(value) > (1.0 + self.gain) * told:
+            self.gain = (abs(value) - self.error(value)) / told - 1.0
+            self.lost |= self.gain > LARGEST_GAIN
+        elif told < UNKNOWN and (worst == SHEDS_LATE).any() and not ((worst == FITS) | (worst == LEADS)).any():
+            self.lost = True
+        self._grow(self._known, end)
+        self._gone[:], self._ahead[:] = False, False
+        self.begin(value)
+
+    def _explained(self, left: Flags, known: Grown) -> Grown:
+        # A robot that is believed to turn less than it does takes another path, which is no safer.
+        return explained(left.reshape(self._shape), known, self._later, both=not self._tied)
+
+    def _grow(self, found: Grown, time: float) -> None:
+        if found != self.grown:
+            self.grown, self._grown_at = found, time
+
+
+def intervals(edges: Sequence[float]) -> list[tuple[float, float]]:
+    """Return the intervals (low, high) between neighbouring edges, which may rise or fall."""
+    return [(min(pair), max(pair)) for pair in pairwise(edges)]
