@@ -1,0 +1,1 @@
+"""Drives of robots that are worse than their models, or whose lidars are turned."""
