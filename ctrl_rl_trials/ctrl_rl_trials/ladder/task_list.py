@@ -24,11 +24,13 @@ LADDER = (
 """Names of the tasks that count, the most informative first."""
 PRACTICE = ("practice_corner", "practice_turn")
 """Names of the tasks on which methods are tuned."""
+BARRIERS = ("goal_beside",)
+"""Names of tasks whose time to reach jumps beside the goal: a robot that misses it has a long way back."""
 
 
 def ladder_file(name_or_path: str) -> str:
     """Return the file of a ladder task, given its name; return any other argument unchanged."""
-    return str(FOLDER / f"{name_or_path}.yaml") if name_or_path in (*LADDER, *PRACTICE) else name_or_path
+    return str(FOLDER / f"{name_or_path}.yaml") if name_or_path in (*LADDER, *PRACTICE, *BARRIERS) else name_or_path
 
 
 def load_ladder_task(name_or_path: str) -> NavigationTask:
