@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,7 @@ class Room:
         raw: Raw command that is sent continuously; None for none.
         scan: Modifier of each scan before it is sent; returns None to drop it.
         odometry: The same for odometry.
+        late: Time after which a command takes effect [s].
         commands: Commands received by the robot.
         told: Messages of the filter.
     """
@@ -38,6 +40,7 @@ class Room:
         self.raw: tuple[float, float] | None = (0.0, 0.0)
         self.scan: Callable[[LaserScan], LaserScan | None] = lambda scan: scan
         self.odometry: Callable[[Odometry], Odometry | None] = lambda odometry: odometry
+        self.late, self._waiting = 0.0, deque[tuple[float, tuple[float, float]]]()
         self.state, self.command = np.zeros(3), (0.0, 0.0)
         self.commands: list[tuple[float, float]] = []
         self.told: list[SafetyStatus] = []
@@ -78,8 +81,12 @@ class Room:
         return next(each for each in self.told if each.mode == mode and why in each.why)
 
     def _on_command(self, message: TwistStamped) -> None:
-        self.command = message.twist.linear.x, message.twist.angular.z
-        self.commands.append(self.command)
+        command = message.twist.linear.x, message.twist.angular.z
+        self.commands.append(command)
+        if self.late:
+            self._waiting.append((time.monotonic() + self.late, command))
+        else:
+            self.command = command
 
     def _step(self) -> None:
         now = time.monotonic()
@@ -87,6 +94,8 @@ class Room:
         if passed < _STEP:
             return
         self._stepped = now
+        while self._waiting and self._waiting[0][0] <= now:
+            self.command = self._waiting.popleft()[1]
         v, omega = self.command
         x, y, theta = self.state
         self.state = np.array(

@@ -151,6 +151,21 @@ def test_after_a_jump_of_the_odometry_it_waits_for_a_scan_and_goes_on(room: Room
     room.until_told(SafetyStatus.PASSED)
 
 
+@pytest.mark.usefixtures("chain")
+def test_a_robot_that_moves_although_it_is_told_to_stand_is_not_driven_until_it_stands(room: Room) -> None:
+    def pushed(odometry: Any) -> Any:
+        odometry.twist.twist.linear.x += 0.1
+        return odometry
+
+    before, room.raw = room.odometry, (0.0, 0.0)
+    room.told.clear()
+    room.until(lambda: len(room.told) > 60)
+    room.odometry = pushed
+    room.until_told(SafetyStatus.WAITING, "although it is told to stand")
+    room.odometry, room.raw = before, (0.0, 0.3)
+    room.until(lambda: room.command == room.raw)
+
+
 def test_the_watchdog_stops_the_robot_of_a_killed_filter_and_a_new_one_ends_with_a_zero(
     chain: Any, start_filter: Callable[[], Any], room: Room
 ) -> None:
@@ -163,3 +178,17 @@ def test_the_watchdog_stops_the_robot_of_a_killed_filter_and_a_new_one_ends_with
     assert code == 0
     room.until(lambda: room.commands[-1:] == [(0.0, 0.0)])
     assert "Traceback" not in again.output
+
+
+def test_a_robot_that_answers_later_than_its_model_says_is_driven_with_that_delay(
+    start_filter: Callable[[], Any], room: Room
+) -> None:
+    room.raw, room.late = (0.0, 0.0), 0.4
+    node = start_filter()
+    room.until_told(SafetyStatus.PASSED)
+    room.raw = (0.0, 0.5)
+    told = room.until_told(SafetyStatus.PASSED, "delay")
+    assert "the robot is worse than its model: delay" in told.why
+    room.late = 0.0
+    assert node.stop(signal.SIGTERM)[0] == 0
+    assert "Traceback" not in node.output

@@ -9,6 +9,7 @@ from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.seen_space import Sight
 from ctrl_rl_safety.filter.verdict import FilterOptions, Reading
 from ctrl_rl_safety.models.robot_model import RobotModel
+from ctrl_rl_safety.monitor.robot_monitor import RobotMonitor
 
 
 def warm_up(model: RobotModel, options: FilterOptions) -> None:
@@ -23,3 +24,8 @@ def warm_up(model: RobotModel, options: FilterOptions) -> None:
         safety.sent(now, verdict.command)
         safety.escape(verdict)
         safety.use(safety.solve())
+    monitor = RobotMonitor(model, 0.0)
+    for place in (0.0, 0.3):
+        pose = np.array((place, 0.0, 0.0))
+        monitor.motion.measure(place, pose, 0.0, 0.0)
+        monitor.mounting.look(pose, echoes)

@@ -19,6 +19,11 @@ FILTER_PARAMETERS = (
         0.0,
         0.5,
     ),
+    Parameter("monitor", True, "Whether to compare the robot's motion with its model, and its scans with each other."),
+    Parameter(
+        "unproven_braking", 0.2, "Fraction of the braking not relied on before the robot has shown it.", 0.0, 0.5
+    ),
+    Parameter("unproven_delay", 0.15, "Delay reckoned with before the robot has shown to be quicker [s].", 0.0, 1.0),
     Parameter("scan_timeout", 0.5, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
     Parameter("raw_timeout", 0.5, "Age of the last raw command that counts as zero [s].", 0.05, 10.0),
     Parameter("control_period", 0.05, "Maximum interval between commands [s].", 0.02, 0.2),

@@ -33,6 +33,7 @@ from ctrl_rl_safety.models.robot_model import find_model
 from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, beam_times
 from ctrl_rl_safety.nodes.map_input import MapInput
 from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
+from ctrl_rl_safety.nodes.monitoring import Monitoring
 from ctrl_rl_safety.nodes.parameters import FILTER_PARAMETERS
 from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
 
@@ -76,11 +77,12 @@ class SafetyFilterNode(RobotNode):
         )
         warm_up(model, options)
         self._filter = SafetyFilter(model, options)
+        self._monitoring = Monitoring(self._filter, value)
         self.robot = robot = LidarRobot(self, reach=self._filter.reach + abs(value["lidar_x"]))
         robot.set_limits(*model.limits)
         robot.on_scan, robot.on_odometry, robot.on_halt = self._see, self._keep, self._on_halt
         robot.limit, robot.stopping = self._limit, lambda: self._filter.stopping(robot.now())
-        robot.fault = lambda: next((each for each in self._faults_of.values() if each), "")
+        robot.fault = lambda: self._monitoring.fault or next((each for each in self._faults_of.values() if each), "")
         # The clock of a fast simulation may arrive after a scan of the same time.
         self._ahead = robot.timeout if self.get_parameter("use_sim_time").value else AHEAD
         self._odometry = OdometryInput(max(model.speed, model.reverse_speed), robot.timeout, self._ahead)
@@ -115,12 +117,12 @@ class SafetyFilterNode(RobotNode):
 
     def _on_halt(self, command: Array, problem: str) -> None:
         """Record that the robot brakes, and report the reason."""
-        self._filter.sent(self.robot.now(), command)
+        self._monitoring.sent(self.robot.now(), command)
         self._counts["waiting"] += 1
         self._tell(command, SafetyStatus.WAITING, problem)
 
-    def _keep(self, message: Odometry, _: Array) -> None:
-        """Store pose and speeds; a jump of the frame resets the filter."""
+    def _keep(self, message: Odometry, odometry: Array) -> None:
+        """Store pose and speeds, and watch the motion; a jump of the frame resets the filter."""
         now, clock = self.robot.now(), self.get_clock().now().nanoseconds
         try:
             jumped = self._odometry.update(message, now, clock)
@@ -129,7 +131,8 @@ class SafetyFilterNode(RobotNode):
             return
         self._faults_of["odometry"] = ""
         if jumped:
-            self._filter.forget()
+            self._monitoring.forget()
+        self._monitoring.measure(now, self._odometry.reading(now), odometry)
         if self._map is not None:
             self._map.on_odometry(message, self.robot.frame)
 
@@ -151,12 +154,13 @@ class SafetyFilterNode(RobotNode):
                 )
                 for each in (view.points, beams.ends)
             )
-            beams = beams._replace(ends=ends)
-            self._filter.see(now, self._odometry.pose_at(stamp), echoes, age, fixed, sight, beams)
+            beams, pose = beams._replace(ends=ends), self._odometry.pose_at(stamp)
+            self._filter.see(now, pose, echoes, age, fixed, sight, beams)
         except (SafetyError, TransformError) as error:
             self._faults_of["scan"] = str(error)
             return
         self._faults_of["scan"] = ""
+        self._monitoring.look(pose, echoes)
         self._solve()
 
     def status(self) -> Status:
@@ -171,10 +175,12 @@ class SafetyFilterNode(RobotNode):
             if times:
                 p50, p99 = np.percentile(times, (50, 99)) * 1e3
                 figures |= {f"{name} p50 [ms]": f"{p50:.2f}", f"{name} p99 [ms]": f"{p99:.2f}"}
+        figures |= self._monitoring.figures()
         wrong = self.publishers_of_other_types(self._commands.topic_name, self._kind)
         if wrong:
             return warn(f"{', '.join(wrong)} is ignored: set enable_stamped_cmd_vel to match it", **figures)
-        return level, message, figures
+        worse = self._monitoring.words()
+        return warn(worse, **figures) if worse and not self._monitoring.fault else (level, message, figures)
 
     def _on_raw(self, message: TwistStamped | Twist) -> None:
         twist = message.twist if isinstance(message, TwistStamped) else message
@@ -220,7 +226,7 @@ class SafetyFilterNode(RobotNode):
         except VelocityError as error:
             self.robot.halt(str(error))
             return
-        self._filter.sent(now, sent)
+        self._monitoring.sent(now, sent)
         self._decisions.append(time.perf_counter() - begin)
         self._verdict = verdict
         self._counts[verdict.mode.name] += 1
@@ -229,6 +235,7 @@ class SafetyFilterNode(RobotNode):
         self._tell(sent, int(verdict.mode), self._silence() or WHY[verdict.mode], verdict)
 
     def _tell(self, sent: Array, mode: int, why: str, verdict: Verdict | None = None) -> None:
+        why = "; ".join(each for each in (why, self._monitoring.words()) if each)
         out = SafetyStatus(mode=mode, why=why, margin=math.nan, value=math.nan)
         out.header.stamp, out.header.frame_id = self.get_clock().now().to_msg(), self._odometry.frame
         out.raw_speed, out.raw_turn_rate = self._raw.tolist()
