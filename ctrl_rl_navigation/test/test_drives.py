@@ -84,10 +84,9 @@ def test_it_reaches_a_goal_that_is_nearer_to_a_wall_than_it_may_come(tmp_path: P
 def test_where_obstacles_let_it_come_no_nearer_it_arrives_a_bit_farther_away(navigator: Navigator) -> None:
     pose, around = np.array((1.0, 1.0, 0.0)), np.column_stack((np.full(9, 0.17), np.linspace(-0.1, 0.1, 9)))
     navigator.set_goal(Goal((1.2, 1.0)))
-    assert navigator.decide(0.0, pose, around).state is NavigatorState.DRIVING
-    assert navigator.decide(3.0, pose, around).state is NavigatorState.DRIVING
-    navigator.decide(7.0, pose, around)
-    reached = navigator.decide(7.1, pose, around)
+    for now in np.arange(0.0, 6.0, 0.1):
+        assert navigator.decide(now, pose, around).state is NavigatorState.DRIVING
+    reached = [navigator.decide(now, pose, around) for now in np.arange(6.0, 6.4, 0.1)][-1]
     assert reached.state is NavigatorState.REACHED
     assert reached.message == "reached to 0.20 m: obstacles let the robot come no nearer"
 

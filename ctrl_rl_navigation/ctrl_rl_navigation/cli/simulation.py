@@ -25,7 +25,7 @@ from ctrl_rl_core import (
     drive,
     find_robot,
 )
-from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
 from ctrl_rl_navigation.driving.navigator_driver import NavigatorDriver
 from ctrl_rl_navigation.robot import DriveLimits, limits_of
@@ -181,6 +181,11 @@ class DriveSimulation:
         stop = ObstacleStop(mounted.radius, _MARGIN, mounted.plan.braking, _REACTION)
         reach = stop.radius + stop.margin + abs(mounted.lidar.x) + stop.reach(_FASTER * mounted.speed, 0.5)
         self._safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, mounted.lidar.x, reach)
+
+    @property
+    def decision(self) -> Decision:
+        """Last decision of the navigator."""
+        return self._driver.decision
 
     def drive(self, goal: Goal, longest: float) -> Drive:
         """Drive to a goal for at most `longest` seconds."""

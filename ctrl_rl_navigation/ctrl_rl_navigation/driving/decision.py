@@ -44,7 +44,8 @@ class NavigatorOptions:
     Attributes:
         tolerance: Distance at which the goal counts as reached [m].
         heading_tolerance: Tolerance of the final heading [rad].
-        memory: Time after which an obstacle no longer seen is dropped [s].
+        memory: Time after which an obstacle that was seen only briefly, or before the current goal, is dropped [s].
+        max_detour: Time that unmapped obstacles may add to the way before the robot stands [s].
         period: Control period [s].
         delay: Time from a command to its effect, plus the time until the next one [s].
         deceleration: Braking deceleration of the robot [m/s^2].
@@ -54,6 +55,7 @@ class NavigatorOptions:
     tolerance: float = 0.15
     heading_tolerance: float = 0.2
     memory: float = 10.0
+    max_detour: float = 300.0
     period: float = 0.1
     delay: float = 0.2
     deceleration: float = 0.5
@@ -75,3 +77,8 @@ class Decision:
     state: NavigatorState
     message: str
     remaining_time: float = math.nan
+
+
+def stand(state: NavigatorState, message: str) -> Decision:
+    """Return the decision to stand."""
+    return Decision(np.zeros(2), state, message, 0.0 if state is NavigatorState.REACHED else math.nan)

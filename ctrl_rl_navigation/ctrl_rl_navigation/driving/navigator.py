@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
+from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState, stand
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, SPEEDS, TURNS_AFTER, LookAhead
+from ctrl_rl_navigation.driving.obstacle_changes import have_gone, on_the_way
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
+from ctrl_rl_navigation.driving.progress import PATIENCE, Progress
 from ctrl_rl_navigation.driving.value_keeper import Change, ValueKeeper
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import longest_time_beside
@@ -25,16 +26,12 @@ _LOOK_PERIOD = 1.0
 """Interval between checks of the path [s]."""
 _SOLVE_PERIOD = 2.0
 """Minimum interval between solves for one goal [s]."""
-_PATIENCE = 6.0
-"""Time without progress after which all surrounding echoes count as obstacles [s]."""
-_PROGRESS = 0.5
-"""Minimum decrease of the time to reach that counts as progress [s]."""
+_DOUBT = 2.0
+"""Time after which an obstacle that closes the last way may have gone [s]: the robot looks again, once."""
+_SHORT = 1.0
+"""Detour that is not worth a word [s]."""
 _SLACK = 0.1
 """Distance beyond the tolerance at which a blocked robot counts as arrived [m]."""
-_FADED = 0.7
-"""Fraction of a value's obstacles that must still be present; otherwise the value is recomputed."""
-_SAME = 0.15
-"""Maximum distance between two echoes of one obstacle, given the pose error [m]."""
 _NO_PATH: Array = np.empty((0, 2))
 
 
@@ -67,8 +64,8 @@ class Navigator:
         self._ended: tuple[NavigatorState, str] | None = None
         self._command = np.zeros(2)
         self._solved_at = self._looked_at = -math.inf
-        self._best, self._best_at, self._tries = math.inf, 0.0, 0
-        self._stuck = self._taken = False
+        self._progress, self._ever = Progress(), _NO_PATH
+        self._stuck = self._taken = self._holds = self._looks_again = False
 
     @property
     def goal(self) -> Goal | None:
@@ -89,6 +86,11 @@ class Navigator:
     def solves(self) -> int:
         """Number of value functions solved."""
         return self._keeper.solves
+
+    @property
+    def detour(self) -> float:
+        """Time that unmapped obstacles have added to the way to the current goal [s]."""
+        return self._progress.detour
 
     @property
     def remaining_distance(self) -> float:
@@ -121,22 +123,38 @@ class Navigator:
         change = self._keeper.poll(keep_goal=self._ended is None)
         if change is Change.NOTHING:
             return
-        self._best, self._best_at = math.inf, now
         self._solved_at, self._looked_at = now, -math.inf
         self._taken = change is Change.TAKEN
+        self._progress.solved()
+        self._ever = np.unique(np.concatenate((self._ever, self._keeper.known)), axis=0)
         if change is Change.MAP:
             assert self._keeper.solver is not None
             self.layer = ObstacleLayer(self._keeper.solver.map, self._keeper.solver.clearance, self.options.memory)
             self.poll(now)
         elif change is Change.GOAL:
-            self._ended, self._tries = None, 0
+            self._begin(now)
         elif change is Change.REFUSED:
             self._ended, self.path = (NavigatorState.UNREACHABLE, self._keeper.reason), _NO_PATH
 
-    def see(self, now: float, pose: Array, points: Array) -> None:
-        """Process the echoes of a scan (n, 2) [m] in the robot's frame, taken at a pose (3,) [m, m, rad]."""
+    def _begin(self, now: float) -> None:
+        """Begin a drive to a goal; what was seen long before may have gone."""
+        self._ended, self._ever = None, _NO_PATH
+        self._holds = self._looks_again = False
+        self._progress.begin()
+        assert self.layer is not None
+        self.layer.forget(now, self.options.memory)
+
+    def see(self, now: float, pose: Array, points: Array, empty: Array = _NO_PATH) -> None:
+        """Process a scan.
+
+        Args:
+            now: Steady time [s].
+            pose: Pose of the robot at the scan (3,) [m, m, rad].
+            points: Echoes in the robot's frame (n, 2) [m].
+            empty: Ends of the beams without an echo in the robot's frame (m, 2) [m].
+        """
         if self.layer is not None:
-            self.layer.update(now, pose, points, close_to_walls=self._stuck)
+            self.layer.update(now, pose, points, empty, close_to_walls=self._stuck)
             self._stuck = False
 
     def decide(self, now: float, pose: Array, points: Array) -> Decision:
@@ -145,67 +163,97 @@ class Navigator:
         Args:
             now: Steady time [s].
             pose: Pose of the robot in the map frame (3,) [m, m, rad].
-            points: Echoes in the robot's current frame (n, 2) [m].
+            points: Echoes of what stands in the robot's current frame (n, 2) [m].
         """
         self.poll(now)
         if self._keeper.solver is None:
             preparing = "preparing the map" if self._keeper.prepares_map else "waiting for a map"
-            return _stand(NavigatorState.WAITING, preparing)
+            return stand(NavigatorState.WAITING, preparing)
         if self._ended is not None:
-            return _stand(*self._ended)
+            return stand(*self._ended)
         goal, value = self.goal, self.value
         if goal is None or value is None:
             if self._keeper.at_work:
-                return _stand(NavigatorState.SOLVING, f"solving, {100 * self._keeper.done:.0f} % done")
-            return _stand(NavigatorState.WAITING, "waiting for a goal")
+                return stand(NavigatorState.SOLVING, f"solving, {100 * self._keeper.done:.0f} % done")
+            return stand(NavigatorState.WAITING, "waiting for a goal")
         left = float(value.value(pose[:2]))
         if self._is_there(pose, goal, left):
             return self._arrive(pose, goal)
         self._look(now, pose, value)
         if self._taken:
-            return _stand(NavigatorState.BLOCKED, "an unmapped obstacle covers the goal")
+            return stand(NavigatorState.BLOCKED, "an unmapped obstacle covers the goal")
         if not math.isfinite(left):
-            return self._no_way(pose)
+            return self._no_way(now, pose)
         return self._drive(now, pose, points, left)
 
     def _drive(self, now: float, pose: Array, points: Array, left: float) -> Decision:
         assert self.value is not None
+        progress = self._progress
+        self._stuck |= progress.note(now, pose[:2], left)
+        if progress.passes > 2:
+            message = f"the same way was driven {progress.passes} times without getting nearer to the goal"
+            self._ended = (NavigatorState.BLOCKED, message)
+            return stand(*self._ended)
+        if progress.detour > self.options.max_detour:
+            message = f"the way round obstacles takes {progress.detour:.0f} s longer: more than `max_detour`"
+            return stand(NavigatorState.BLOCKED, message)
+        if progress.passes == 2:
+            self._insist(now)
         choice = self._ahead.choose(self.value, pose, self._command, points)
-        if left < self._best - _PROGRESS:
-            if math.isfinite(self._best):
-                self._tries = 0
-            self._best, self._best_at = left, now
-        if now - self._best_at > _PATIENCE:
-            self._stuck, self._best_at = True, now
-            self._tries += 1
-        if self._tries > 1:
-            message = f"no progress for {self._tries * _PATIENCE:.0f} s: something is in the way"
+        if progress.tries > 1:
+            message = f"no progress for {progress.tries * PATIENCE:.0f} s: something is in the way"
             return Decision(choice.command, NavigatorState.BLOCKED, message, left)
-        return Decision(choice.command, NavigatorState.DRIVING, "driving", choice.cost)
+        return Decision(choice.command, NavigatorState.DRIVING, self._doing(), choice.cost)
+
+    def _doing(self) -> str:
+        """Return in words what a driving robot does."""
+        if self._looks_again:
+            return "driving to look again at obstacles seen before: they close every way"
+        detour = self._progress.detour
+        return "driving" if detour < _SHORT else f"driving a detour of {detour:.0f} s round obstacles"
+
+    def _insist(self, now: float) -> None:
+        """Believe in every obstacle of this drive, since the robot repeats itself: some seem to come and go."""
+        if self.layer is not None and not (self._holds or self._looks_again or self._keeper.at_work):
+            self._holds = True
+            self.layer.hold(self._ever)
+            self._renew(now)
+
+    def _renew(self, now: float) -> None:
+        """Start solving the value again with the present obstacles."""
+        assert self.layer is not None
+        self._solved_at = now
+        self._keeper.renew(self.layer.points())
 
     def _is_there(self, pose: Array, goal: Goal, left: float) -> bool:
         """Return whether the goal position is reached, ignoring the heading.
 
         A blocked robot that could not get closer counts as arrived slightly farther away.
         """
-        near = self.options.tolerance + (_SLACK if self._tries else 0.0)
+        near = self.options.tolerance + (_SLACK if self._progress.tries else 0.0)
         return math.dist(pose[:2], goal.position) <= near and left <= longest_time_beside(near, self.limits)
 
-    def _no_way(self, pose: Array) -> Decision:
+    def _blocked(self, now: float) -> Decision:
+        """Stand before obstacles that close every way; first look again, once, at those that may have gone."""
+        assert self.layer is not None
+        if not self._looks_again and self.layer.forget(now, _DOUBT):
+            self._looks_again = True
+            self._renew(now)
+        if self._keeper.at_work:
+            return stand(NavigatorState.SOLVING, "obstacles close the way: solving another one")
+        return stand(NavigatorState.BLOCKED, "an unmapped obstacle blocks every path to the goal")
+
+    def _no_way(self, now: float, pose: Array) -> Decision:
         """Return the decision if the value at the robot is infinite."""
-        assert self._keeper.solver is not None
         if len(self._keeper.known):
-            return _stand(NavigatorState.BLOCKED, "an unmapped obstacle blocks every path to the goal")
-        solver, where = self._keeper.solver, f"({pose[0]:.2f}, {pose[1]:.2f})"
-        row, column = solver.map.world_to_cell(pose[:2])
-        height, width = solver.clearance.shape
-        if not (0 <= row < height and 0 <= column < width):
-            return _stand(NavigatorState.WAITING, f"the robot is at {where}, off the map: is the pose right?")
-        if solver.clearance[row, column] <= 0.0:
-            what = f"the robot is at {where}, where the map has an obstacle or nothing: is the pose right?"
-            return _stand(NavigatorState.WAITING, what)
+            return self._blocked(now)
+        assert self._keeper.solver is not None
+        where = f"({pose[0]:.2f}, {pose[1]:.2f})"
+        wrong = self._keeper.solver.no_place(pose[:2])
+        if wrong:
+            return stand(NavigatorState.WAITING, f"the robot is at {where}, {wrong}: is the pose right?")
         self._ended = (NavigatorState.UNREACHABLE, f"no way leads from {where} to the goal")
-        return _stand(*self._ended)
+        return stand(*self._ended)
 
     def _arrive(self, pose: Array, goal: Goal) -> Decision:
         """Turn to the goal's heading, or report arrival."""
@@ -219,12 +267,14 @@ class Navigator:
                 command = np.array((0.0, np.clip(turn, self._command[1] - most, self._command[1] + most)))
                 left = abs(error) / self.limits.turn_rate
                 return Decision(command, NavigatorState.DRIVING, "turning into the heading of the goal", left)
-        message, away = "the goal is reached", math.dist(pose[:2], goal.position)
+        message, away, detour = "the goal is reached", math.dist(pose[:2], goal.position), self._progress.detour
         if away > self.options.tolerance:
             message = f"reached to {away:.2f} m: obstacles let the robot come no nearer"
+        elif detour >= _SHORT:
+            message = f"the goal is reached, after a detour of {detour:.0f} s round obstacles"
         self._ended = (NavigatorState.REACHED, message)
         self.path = _NO_PATH
-        return _stand(*self._ended)
+        return stand(*self._ended)
 
     def _look(self, now: float, pose: Array, value: MapValue) -> None:
         """Check the path, and request a new value if obstacles lie on it or have disappeared."""
@@ -235,24 +285,9 @@ class Navigator:
         self.path = value.path(pose[:2])
         if self._keeper.at_work or now - self._solved_at < _SOLVE_PERIOD:
             return
-        points = self.layer.points()
-        if self._on_the_way(points, value.map.resolution) or self._have_gone(points):
-            self._solved_at = now
-            self._keeper.renew(points)
-
-    def _on_the_way(self, points: Array, cell: float) -> bool:
-        """Return whether an obstacle unknown to the value lies on the path."""
-        if not len(points) or not len(self.path):
-            return False
-        away = _distances(points, self.path[:: max(1, int(self.limits.room / cell))])
-        return bool((away < self.limits.room - 1.5 * cell).any())
-
-    def _have_gone(self, points: Array) -> bool:
-        """Return whether many obstacles known to the value have disappeared."""
-        known = self._keeper.known
-        if not len(known) or not len(points):
-            return len(known) > 0
-        return float((_distances(known, points) < _SAME).mean()) < _FADED
+        points, cell = self.layer.points(), value.map.resolution
+        if on_the_way(points, self.path, self.limits.room, cell) or have_gone(self._keeper.known, points, cell):
+            self._renew(now)
 
 
 def warm_up(limits: DriveLimits) -> None:
@@ -260,15 +295,7 @@ def warm_up(limits: DriveLimits) -> None:
     navigator = Navigator(limits, NavigatorOptions(inline=True))
     navigator.set_map(OccupancyMap(np.zeros((30, 60), np.int8), limits.room))
     navigator.set_goal(Goal((45.0 * limits.room, 15.0 * limits.room)))
+    pose, echoes = np.array((10.0 * limits.room, 15.0 * limits.room, 0.0)), np.ones((30, 2))
     for now in (0.0, 1.5):
-        navigator.decide(now, np.array((10.0 * limits.room, 15.0 * limits.room, 0.0)), np.ones((1, 2)))
-
-
-def _stand(state: NavigatorState, message: str) -> Decision:
-    left = 0.0 if state is NavigatorState.REACHED else math.nan
-    return Decision(np.zeros(2), state, message, left)
-
-
-def _distances(points: Array, others: Array) -> Array:
-    """Return the distance from each point (n, 2) to the nearest of the others (m, 2) (n,) [m]."""
-    return np.asarray(cKDTree(others).query(points)[0])
+        navigator.see(now, pose, echoes)
+        navigator.decide(now, pose, echoes)

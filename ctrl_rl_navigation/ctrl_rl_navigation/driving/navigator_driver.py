@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 from ctrl_rl_core.navigation import Transform
-from ctrl_rl_core.sensing import planar, view_scan
+from ctrl_rl_core.sensing import measured, planar, view_scan
 from numpy.typing import NDArray
 
-from ctrl_rl_core import ScanError, Sensors
+from ctrl_rl_core import ScanError, ScanGeometry, Sensors
 from ctrl_rl_navigation.driving.decision import Decision, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
 
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 _STAND = np.zeros(2)
 _NOWHERE = Transform.planar(0.0, 0.0, 0.0)
+_FARTHEST = 100.0
+"""Length of a beam without an echo, whatever the lidar claims [m]."""
 
 
 class NavigatorDriver:
@@ -46,7 +48,8 @@ class NavigatorDriver:
         self._echoes = points[np.hypot(*points.T) < self._reach]
         self._seen_from = _place(sensors)
         if sensors.pose is not None:
-            self.navigator.see(sensors.time, sensors.pose, self._echoes)
+            empty = _empty_beams(sensors.ranges, sensors.scan, self._lidar_x)
+            self.navigator.see(sensors.time, sensors.pose, points, empty)
 
     def command(self, sensors: Sensors) -> Array:
         """Return the command (2,); zeros if the pose is unknown. A new scan is processed first."""
@@ -71,3 +74,10 @@ class NavigatorDriver:
 def _place(sensors: Sensors) -> Transform:
     """Return the odometry pose."""
     return Transform.planar(*planar(sensors.odometry[:7].tolist()).tolist())
+
+
+def _empty_beams(ranges: NDArray[np.float32], scan: ScanGeometry, forward: float) -> Array:
+    """Return where beams without an echo end in the robot's frame (n, 2) [m]; the lidar is `forward` [m] ahead."""
+    empty = np.flatnonzero(np.isposinf(measured(ranges, scan)))
+    bearings, far = scan.angle_min + scan.angle_increment * empty, min(scan.range_max, _FARTHEST)
+    return np.column_stack((forward + far * np.cos(bearings), far * np.sin(bearings)))

@@ -90,6 +90,7 @@ class NavigatorNode(RobotNode):
                 tolerance=value["goal_tolerance"],
                 heading_tolerance=value["goal_heading_tolerance"],
                 memory=value["obstacle_memory"],
+                max_detour=value["max_detour"],
                 period=value["control_period"],
                 delay=value["control_period"] + 0.1,
                 deceleration=value["deceleration"],
@@ -141,6 +142,7 @@ class NavigatorNode(RobotNode):
             "state": decision.state.name.lower(),
             "remaining time [s]": f"{decision.remaining_time:.1f}",
             "remaining distance [m]": f"{self._navigator.remaining_distance:.1f}",
+            "detour [s]": f"{self._navigator.detour:.1f}",
             "values solved": self._navigator.solves,
             "refused": self._input.refused,
         }

@@ -49,6 +49,19 @@ NAVIGATOR_PARAMETERS = (
         0.02,
         3.2,
     ),
-    Parameter("obstacle_memory", 10.0, "Time after which an obstacle no longer seen is dropped [s].", 0.5, 3600.0),
+    Parameter(
+        "obstacle_memory",
+        10.0,
+        "Time after which an obstacle that was seen only briefly, or before the current goal, is dropped [s].",
+        0.5,
+        3600.0,
+    ),
+    Parameter(
+        "max_detour",
+        300.0,
+        "Time that unmapped obstacles may add to the way before the robot stands [s].",
+        1.0,
+        86400.0,
+    ),
 )
 ANY_HEADING = 3.1415

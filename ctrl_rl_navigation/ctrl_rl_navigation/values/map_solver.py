@@ -72,6 +72,14 @@ class MapSolver:
         self.map, self.limits, self._slowest, self._ease = map_, limits, slowest, ease
         self.clearance = map_.clearance(unknown_is_free)
 
+    def no_place(self, place: Array) -> str:
+        """Return in words why no robot can be at a place (2,) [m]; "" if it can."""
+        row, column = self.map.world_to_cell(place)
+        height, width = self.clearance.shape
+        if not (0 <= row < height and 0 <= column < width):
+            return "off the map"
+        return "" if self.clearance[row, column] > 0.0 else "where the map has an obstacle or nothing"
+
     def solve(
         self,
         goal: tuple[float, float],
