@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 BORDER = 2
 """Width of the border around the map [cells], given by the reach of the stencils."""
 _FAR, _KNOWN = 0, 1
+_LAYER = 1e7
+"""Time that no goal is away [s]: it separates steps in the queue's order."""
 
 
 class Front(NamedTuple):
@@ -26,7 +28,7 @@ class Front(NamedTuple):
         slowness: Time to cross a cell (cells,) [s]; 0 for impassable cells.
         known: 1 for cells with a final time (cells,).
         hops: Number of steps from the open cells to those entered since `widen` (cells,).
-        keys: Times of the binary heap's entries (capacity,) [s].
+        keys: Order of the binary heap's entries (capacity,) [s]: times, and `_LAYER` for each step since `widen`.
         cells: Cells of the heap's entries (capacity,).
         counts: Number of heap entries, and of known cells (2,).
         stride: Row stride in memory.
@@ -135,23 +137,27 @@ def _time(front: Any, cell: int) -> float:
 
 @njit(inline="always")
 def _offer(front: Any, cell: int, hops: int) -> None:
-    """Recompute the time of a cell, and queue the cell if the time decreased."""
+    """Recompute the time of a cell, and queue the cell if the time decreased, or fewer steps lead there."""
     if front.slowness[cell] <= 0.0 or front.known[cell] == _KNOWN:
         return
+    if front.times[cell] < np.inf and hops > front.hops[cell]:
+        return
     time = _time(front, cell)
-    if time < front.times[cell]:
+    if time < front.times[cell] or hops < front.hops[cell]:
         front.times[cell] = time
         front.hops[cell] = hops
-        _push(front, time, cell)
+        _push(front, time + hops * _LAYER, cell)
 
 
-@cached_njit
-def seed(front: Any, cells: NDArray[np.int64], times: NDArray[np.float64]) -> None:
-    """Queue cells (n,) with given times (n,) [s]."""
+def _seed(front: Any, cells: NDArray[np.int64], times: NDArray[np.float64]) -> None:
     for i in range(cells.size):
         if front.slowness[cells[i]] > 0.0 and times[i] < front.times[cells[i]]:
             front.times[cells[i]] = times[i]
             _push(front, times[i], cells[i])
+
+
+seed = cached_njit(_seed, nogil=True)
+"""Queue cells (n,) with given times (n,) [s]."""
 
 
 def _march(front: Any, most: int, deepest: int) -> int:
@@ -177,17 +183,12 @@ def _march(front: Any, most: int, deepest: int) -> int:
 march = cached_njit(_march, nogil=True)
 """Finalise up to `most` more cells and return the queue length; 0 means that all reachable cells are known.
 
-Of the cells opened by `widen`, only those within `deepest` steps are entered; 0 for all."""
+Of the cells opened by `widen`, only those within `deepest` steps are entered; 0 for all. They are entered step by step,
+not in the order of times: else a short time would enter a gap that is too tight for the robot, come out of it on the
+other side, and lead the robot there into the gap."""
 
 
-@cached_njit
-def widen(front: Any, slowness: NDArray[np.float64]) -> None:
-    """Open further cells to a finished march, without affecting known cells.
-
-    Args:
-        front: State of the march.
-        slowness: Time to cross a cell (cells,) [s]; known cells keep theirs.
-    """
+def _widen(front: Any, slowness: NDArray[np.float64]) -> None:
     for cell in range(slowness.size):
         if front.known[cell] != _KNOWN:
             front.slowness[cell] = slowness[cell]
@@ -197,3 +198,7 @@ def widen(front: Any, slowness: NDArray[np.float64]) -> None:
             near = front.known[cell - 1] + front.known[cell + 1]
             if near + front.known[cell - stride] + front.known[cell + stride] > 0:
                 _offer(front, cell, 1)
+
+
+widen = cached_njit(_widen, nogil=True)
+"""Open further cells to a finished march, by their times to cross (cells,) [s]; known cells keep theirs."""
