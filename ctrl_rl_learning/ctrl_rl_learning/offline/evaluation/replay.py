@@ -8,11 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, terminal_reward
+from ctrl_rl_core import terminal_reward
 from ctrl_rl_learning.offline.data.motion import displacements
-from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.evaluation.dynamics import fit_dynamics, recorded_inputs
+from ctrl_rl_learning.offline.evaluation.recorded import Recorded
 from ctrl_rl_learning.offline.evaluation.roll_outs import LearntWorld, episodes_of, rest_of
+from ctrl_rl_learning.offline.evaluation.surroundings import Surroundings
 
 Array = NDArray[np.float64]
 REPLAYED = 10
@@ -42,25 +43,29 @@ class Replay(NamedTuple):
         return correlation(self.replayed, self.earned)
 
 
-def replay(transitions: Transitions, task: NavigationTask, seed: int) -> Replay:
-    """Replay recorded commands in a model of other episodes.
+def replay(recorded: Recorded, seed: int) -> Replay:
+    """Replay recorded commands in a model of other episodes, among the walls of their own and without movers.
 
     Pieces of `REPLAYED` steps, counted from an episode's end, are replayed without a look at what comes of them: a
     policy that looks would mend the model's errors by then. Half of the episodes are replayed in a model of the other
-    half, and the other way around; no policy takes part.
+    half, and the other way around; no policy takes part. Pieces that a mover ended are left out.
     """
+    transitions, task = recorded.transitions, recorded.task
     first = np.append(np.flatnonzero(transitions.first), len(transitions))
     inputs = recorded_inputs(transitions, rest_of(task))
     way = np.append(0.0, np.cumsum(np.abs(displacements(transitions)[:, 0])))
     pieces = [np.arange(low, high)[::-1][REPLAYED - 1 :: REPLAYED] for low, high in pairwise(first)]
+    hits, episodes = recorded.hits_of_movers, recorded.episodes
     found: list[Replay] = []
     for half in range(2):
         fitted_to = np.arange(1 - half, len(pieces), 2)
         dynamics = fit_dynamics(episodes_of(transitions, fitted_to), rest_of(task))
-        world = LearntWorld(task, dynamics, np.random.default_rng((seed, half)))
-        starts = np.concatenate(pieces[half::2])
+        starts = np.concatenate([np.zeros(0, dtype=np.intp), *pieces[half::2]])
+        starts = starts[~hits[starts + REPLAYED - 1]]
         if not len(starts):
             continue
+        around = Surroundings(task, recorded.worlds, episodes[starts])
+        world = LearntWorld(task, dynamics, around, np.random.default_rng((seed, half)))
 
         def choose(
             _: Array, __: Array, which: NDArray[np.intp], step: int, starts: NDArray[np.intp] = starts

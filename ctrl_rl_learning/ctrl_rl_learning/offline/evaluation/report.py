@@ -25,6 +25,7 @@ from ctrl_rl_learning.offline.evaluation.estimators import (
     fit_values,
     step_ratios,
 )
+from ctrl_rl_learning.offline.evaluation.recorded import look_at
 from ctrl_rl_learning.offline.evaluation.replay import replay
 from ctrl_rl_learning.offline.evaluation.roll_outs import can_model, roll_out
 from ctrl_rl_learning.offline.evaluation.support import (
@@ -138,8 +139,9 @@ def _modelled(
     steps = int((transitions.outcomes == Outcome.RUNNING).sum())
     if not can_model(task) or len(earned) < LEAST_EPISODES or steps < _LEAST_STEPS:
         return _Modelled()
-    rolled = roll_out(transitions, task, actor, discount, fits, seed)
-    support = model_support(transitions, task, rolled, replay(transitions, task, seed), seed)
+    recorded = look_at(transitions, task, seed)
+    rolled = roll_out(recorded, actor, discount, fits, seed)
+    support = model_support(recorded, rolled, replay(recorded, seed), seed)
     random = np.random.default_rng(seed)
     shares = rolled.success.mean(axis=1)
     success = Estimate(float(shares.mean()), float(shares.min()), float(shares.max()))

@@ -1,4 +1,4 @@
-"""Model-based evaluation: a policy drives in a model of the robot's motion from the bags, among the task's walls.
+"""Model-based evaluation: a policy drives in a model of the robot's motion from the bags, among walls and movers.
 
 Several models take part: each fit has drawn its own episodes, and goes on beyond the recorded speeds in two ways. In
 the second way the robot gets no faster than it was recorded, and whoever leaves the region that the bags know has
@@ -7,7 +7,6 @@ collided. `support` says whether the models may be believed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,21 +14,24 @@ import numpy as np
 from ctrl_rl_core.policies import ScanPart
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from sim_bridge.engines import shape_row
-from sim_bridge.fleet import scans
 
-from ctrl_rl_core import Actor, NavigationTask, Outcome, TaskSets, drive_fleet, terminal_reward
+from ctrl_rl_core import Actor, NavigationTask, Outcome, drive_fleet, terminal_reward
 from ctrl_rl_learning.offline.data.motion import displaced
 from ctrl_rl_learning.offline.data.transitions import Transitions, sensed_interface
 from ctrl_rl_learning.offline.evaluation.dynamics import Dynamics, fit_dynamics, inputs_of
 from ctrl_rl_learning.offline.evaluation.estimators import actions_of
+from ctrl_rl_learning.offline.evaluation.recorded import Recorded
+from ctrl_rl_learning.offline.evaluation.surroundings import Surroundings, on_the_way
+from ctrl_rl_learning.offline.witness.movers import draw_plans
+from ctrl_rl_learning.offline.witness.record import lidar_place
 
 Array = NDArray[np.float64]
 _APART = 0.05
 """Distance between the places of a step at which outcomes are looked for [m]."""
 
 
-Choose = Callable[[Array, Array, NDArray[np.intp], int], NDArray[np.float32]]
+Index = NDArray[np.intp]
+Choose = Callable[[Array, Array, Index, int], NDArray[np.float32]]
 """Returns the actions (n, 2) at states (n, 3) after displacements (n, 3), of the episodes (n,), in a step."""
 
 
@@ -60,7 +62,14 @@ def reach_of(task: NavigationTask) -> float:
 
 
 class LearntWorld:
-    """A task's walls, goal and lidar, in which robots move by dynamics from bags.
+    """A task's walls, movers, goal and lidar, in which robots move by dynamics from bags.
+
+    Args:
+        task: Task of the robots.
+        dynamics: How they move.
+        around: Walls and movers of the episodes.
+        random: Draws the errors of motion and lidar.
+        fence: Region that no robot may leave, if there is one.
 
     Attributes:
         rest: Action (2,) of a robot at rest.
@@ -68,16 +77,18 @@ class LearntWorld:
     """
 
     def __init__(
-        self, task: NavigationTask, dynamics: Dynamics, random: np.random.Generator, fence: Fence | None = None
+        self,
+        task: NavigationTask,
+        dynamics: Dynamics,
+        around: Surroundings,
+        random: np.random.Generator,
+        fence: Fence | None = None,
     ) -> None:
-        self._task, self._dynamics, self._random, self.fence = task, dynamics, random, fence
+        self._task, self._dynamics, self._around, self._random, self.fence = task, dynamics, around, random, fence
         self.rest = rest_of(task)
-        self._sets = TaskSets(task)
         self._parts = sensed_interface(task).observation
-        world = task.build_world()
-        self._shapes = np.array([shape_row(shape) for shape in (*world.walls, *world.obstacles)])
-        robot = task.robot.robot
-        self._mount = (0.0, 0.0) if robot is None else (robot.lidar.x, robot.lidar.y)
+        self._mount = np.array([(*lidar_place(task), 0.0)])
+        self._noise, self._dropout = np.zeros((0, 1)), np.zeros((0, 1))
 
     def drive(
         self, starts: Array, inputs: Array, steps: int, choose: Choose
@@ -90,24 +101,29 @@ class LearntWorld:
             steps: Number of steps after which an episode is left, still running.
             choose: Chooses the actions.
         """
+        lidar, drawn, shape = self._task.lidar, self._task.randomisation, (len(starts), 1)
+        self._noise, self._dropout = (
+            self._random.uniform(*drawn[name], shape) if name in drawn else np.full(shape, own)
+            for name, own in (("scan_noise", lidar.noise), ("scan_dropout", lidar.dropout))
+        )
         robots = _LearntRobots(self, starts, inputs)
         episodes = drive_fleet(robots, lambda sensed: choose(*sensed), range(len(starts)), steps)
         return robots.outcomes, episodes.steps - 1, robots.states
 
-    def move(self, states: Array, inputs: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Return states (N, 3) and displacements (N, 3) after a step with inputs (N, 7), and its outcomes (N,)."""
+    def move(self, which: Index, states: Array, inputs: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Return states (n, 3), displacements (n, 3) and outcomes (n,) of episodes after a step with inputs (n, 7)."""
         following, moved = self._dynamics(states, inputs, self._random)
-        outcomes = self._outcomes(states, moved)
+        outcomes = self._first_outcomes(which, states, moved)
         if self.fence is not None:
             outcomes[(outcomes == Outcome.RUNNING) & self.fence.leaves(following)] = Outcome.COLLISION
         return following, moved, outcomes
 
-    def observe(self, states: Array, moved: Array) -> NDArray[np.float32]:
-        """Return what a policy observes at states (N, 3) after displacements (N, 3), in SI units (N, n)."""
+    def observe(self, which: Index, states: Array, moved: Array) -> NDArray[np.float32]:
+        """Return what a policy observes at states (n, 3) after displacements (n, 3), in SI units (n, size)."""
         period = self._task.episode.time_step
         known = dict(zip(("x", "y", "theta", "v", "omega"), (*states.T, *moved[:, [0, 2]].T / period), strict=True))
         columns = [
-            self._ranges(part, states)
+            self._ranges(part, which, states)
             if isinstance(part, ScanPart)
             else np.clip(
                 np.stack([known[name] for name in part.names], axis=1), part.spread("low"), part.spread("high")
@@ -116,31 +132,28 @@ class LearntWorld:
         ]
         return np.concatenate(columns, axis=1).astype(np.float32)
 
-    def expected_scans(self, states: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the ranges (N, k) [m] of observations at states (N, 3) without noise, and their columns (n,)."""
-        scanned = [np.full(part.size, isinstance(part, ScanPart)) for part in self._parts]
-        ranges = [self._ranges(part, states, noisy=False) for part in self._parts if isinstance(part, ScanPart)]
-        return np.concatenate([np.zeros((len(states), 0)), *ranges], axis=1), np.concatenate(scanned)
-
-    def _ranges(self, part: ScanPart, states: Array, *, noisy: bool = True) -> Array:
-        """Return the ranges (N, beams) [m], with the noise and the lost beams of the task's lidar."""
-        lidar, random = self._task.lidar, self._random
-        ranges = np.empty((len(states), part.count))
-        scans(self._shapes, displaced(states, np.array([(*self._mount, 0.0)])), part.bearings, part.high, ranges)
-        if noisy:
-            ranges += lidar.noise * random.standard_normal(ranges.shape)
-            ranges[random.random(ranges.shape) < lidar.dropout] = part.high
+    def _ranges(self, part: ScanPart, which: Index, states: Array) -> Array:
+        """Return the ranges (n, beams) [m], with the noise and the lost beams of the task's lidar."""
+        ranges = self._around.ranges(which, displaced(states, self._mount), part)
+        ranges += self._noise[which] * self._random.standard_normal(ranges.shape)
+        ranges[self._random.random(ranges.shape) < self._dropout[which]] = part.high
         return np.clip(ranges, part.low, part.high)
 
-    def _outcomes(self, before: Array, moved: Array) -> NDArray[np.int64]:
-        """Return the first outcome on the way of a step (N,)."""
-        count = max(1, math.ceil(float(np.abs(moved[:, 0]).max()) / _APART))
-        found = np.array([self._sets.outcomes(displaced(before, (k + 1) / count * moved)) for k in range(count)])
-        first = (found != Outcome.RUNNING).argmax(axis=0)
-        return found[first, np.arange(len(before))].astype(np.int64)
+    def _first_outcomes(self, which: Index, before: Array, moved: Array) -> NDArray[np.int64]:
+        """Return the first outcome on the way of a step (n,), on which movers move, too."""
+        found, pieces = [], self._around.mover_steps
+        ways = list(on_the_way(before, moved, _APART, pieces))
+        for number, states in enumerate(ways):
+            if pieces and number % (len(ways) // pieces) == 0:
+                self._around.advance(which, states)
+                self._around.tick(self._task.episode.time_step / pieces)
+            found.append(self._around.outcomes(which, states))
+        each = np.array(found)
+        first = (each != Outcome.RUNNING).argmax(axis=0)
+        return each[first, np.arange(len(before))].astype(np.int64)
 
 
-_Sensed = tuple[Array, Array, NDArray[np.intp], int]
+_Sensed = tuple[Array, Array, Index, int]
 
 
 class _LearntRobots:
@@ -159,7 +172,7 @@ class _LearntRobots:
         """Hold the actions of those that still drive (n, 2)."""
         states, moved, running, _ = self._sensed()
         inputs = inputs_of(actions, moved, self._actions[running])
-        self.states[running], self._moved[running], self.outcomes[running] = self._world.move(states, inputs)
+        self.states[running], self._moved[running], self.outcomes[running] = self._world.move(running, states, inputs)
         self._actions[running] = actions
         self._steps += 1
         return self._sensed(), self.states.copy(), np.zeros(len(self.states)), self.outcomes
@@ -170,8 +183,8 @@ class _LearntRobots:
 
 
 def can_model(task: NavigationTask) -> bool:
-    """Return whether a task's world is the same in each episode, and its states are x, y, theta."""
-    return task.system.build().state_names == ("x", "y", "theta") and not task.movers and task.doorways is None
+    """Return whether the states of a task are x, y, theta."""
+    return task.system.build().state_names == ("x", "y", "theta")
 
 
 def rest_of(task: NavigationTask) -> Array:
@@ -200,10 +213,12 @@ class RollOuts:
     moved: Array
 
 
-def roll_out(
-    transitions: Transitions, task: NavigationTask, actor: Actor, discount: float, fits: int, seed: int
-) -> RollOuts:
-    """Return roll-outs of a policy from each start of the bags; each fit has a model of episodes drawn for it."""
+def roll_out(recorded: Recorded, actor: Actor, discount: float, fits: int, seed: int) -> RollOuts:
+    """Return roll-outs of a policy from each start of the bags; each fit has a model of episodes drawn for it.
+
+    Walls are those of each episode, as far as its scans show them; movers are drawn anew in each model.
+    """
+    transitions, task = recorded.transitions, recorded.task
     starts, fence = transitions.states[transitions.first], Fence(transitions.states, reach_of(task))
     visited: list[tuple[Array, NDArray[np.float32], Array]] = []
     ended = []
@@ -212,12 +227,14 @@ def roll_out(
             random = np.random.default_rng((seed, fit))
             drawn = random.integers(len(starts), size=len(starts))
             dynamics = replace(fit_dynamics(episodes_of(transitions, drawn), rest_of(task)), capped=cautious)
-            world = LearntWorld(task, dynamics, random, fence if cautious else None)
+            plans = draw_plans(task, recorded.worlds, starts, random)
+            around = Surroundings(task, recorded.worlds, plans=plans)
+            world = LearntWorld(task, dynamics, around, random, fence if cautious else None)
 
             def choose(
-                states: Array, moved: Array, _: NDArray[np.intp], __: int, world: LearntWorld = world
+                states: Array, moved: Array, which: Index, _: int, world: LearntWorld = world
             ) -> NDArray[np.float32]:
-                actions = actions_of(actor, world.observe(states, moved))
+                actions = actions_of(actor, world.observe(which, states, moved))
                 if world.fence is None:
                     visited.append((states.copy(), actions, moved.copy()))
                 return actions

@@ -1,8 +1,8 @@
 """What estimates rest on, tested on the bags: whether the models may be believed where the policy drives.
 
-A model of the motion among the task's walls assumes that the walls stand where the file has them, that recorded
-commands lead in it to where they led, and that the policy drives where the bags have been. Fitted Q evaluation assumes
-that the driver did what the policy would do.
+A model of the motion among the task's walls assumes that the walls stand where the file has them, that nothing moves
+but by the task's law, that recorded commands lead in it to where they led, and that the policy drives where the bags
+have been. Fitted Q evaluation assumes that the driver did what the policy would do.
 """
 
 from __future__ import annotations
@@ -13,20 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask, Outcome, TaskSets
-from ctrl_rl_learning.offline.data.motion import displacements
+from ctrl_rl_core import NavigationTask
 from ctrl_rl_learning.offline.data.transitions import Transitions
 from ctrl_rl_learning.offline.evaluation.dynamics import fit_dynamics, inputs_of
+from ctrl_rl_learning.offline.evaluation.recorded import Recorded
 from ctrl_rl_learning.offline.evaluation.replay import REPLAYED, Replay
-from ctrl_rl_learning.offline.evaluation.roll_outs import Fence, LearntWorld, RollOuts, reach_of, rest_of
+from ctrl_rl_learning.offline.evaluation.roll_outs import Fence, RollOuts, reach_of, rest_of
 
 Array = NDArray[np.float64]
-_COMPARED = 2000
-"""Most states whose scans are compared."""
-_OFF = 0.05
-"""Difference of a range beyond the lidar's noise that counts [m]."""
-_BESIDE = np.array((0.02, 0.02, math.radians(0.5)))
-"""Errors of a pose, and of a wall's place in a map, after which a range is still the file's [m, m, rad]."""
 _FAST = 0.75
 """Quantile of the recorded speeds from which on pieces stand for a policy that is faster than most of them."""
 _COVERED = 2.0
@@ -40,8 +34,10 @@ class ModelSupport:
     """What roll-outs rest on.
 
     Attributes:
-        scans_off: Share of the recorded ranges that the task's walls do not explain.
+        scans_off: Share of the recorded ranges that neither the task's walls nor its movers explain.
         contradicted: Share of the recorded episodes that pass through the file's obstacles, or collide far from them.
+        movers: Share of the recorded ranges that end at movers.
+        movers_by_law: Largest such share that the movers of the task explain.
         agreement: Correlation by which held-out pieces of the bags end in the model as in the bag.
         pieces: Number of those pieces in the region and at the speeds that the policy drives.
         missed: Median of the distance by which those end elsewhere, as a share of their way.
@@ -54,6 +50,8 @@ class ModelSupport:
 
     scans_off: float
     contradicted: float
+    movers: float
+    movers_by_law: float
     agreement: float
     pieces: int
     missed: float
@@ -64,11 +62,9 @@ class ModelSupport:
     disagreement: float
 
 
-def model_support(
-    transitions: Transitions, task: NavigationTask, roll_outs: RollOuts, replayed: Replay, seed: int
-) -> ModelSupport:
+def model_support(recorded: Recorded, roll_outs: RollOuts, replayed: Replay, seed: int) -> ModelSupport:
     """Test on bags what roll-outs of a policy rest on."""
-    random = np.random.default_rng(seed)
+    transitions, task = recorded.transitions, recorded.task
     reach, dynamics = reach_of(task), fit_dynamics(transitions, rest_of(task))
     near = _near(transitions, replayed, roll_outs, reach)
     distances, nearest = Fence(transitions.states, reach).nearest(roll_outs.states)
@@ -77,9 +73,12 @@ def model_support(
     middle = tuple(np.median(roll_outs.states[outside, :2], axis=0).tolist()) if outside.any() else None
     inputs = inputs_of(roll_outs.actions, roll_outs.moved, roll_outs.actions)
     means = roll_outs.returns.mean(axis=1)
+    movers, by_law = recorded.movers(np.random.default_rng(seed))
     return ModelSupport(
-        scans_off=scans_off(transitions, task, LearntWorld(task, dynamics, random), random),
-        contradicted=contradicted(transitions, task),
+        scans_off=recorded.scans_off,
+        contradicted=recorded.contradicted,
+        movers=movers,
+        movers_by_law=by_law,
         agreement=replayed.agreement,
         pieces=int(near.sum()),
         missed=_share(replayed.missed[near], replayed.driven[near]),
@@ -89,37 +88,6 @@ def model_support(
         beyond=float((dynamics.distance(inputs) > _SPREAD).mean()),
         disagreement=float(means.max() - means.min()),
     )
-
-
-def scans_off(transitions: Transitions, task: NavigationTask, world: LearntWorld, random: np.random.Generator) -> float:
-    """Return the share of the recorded ranges that are not those of the task's walls, at or beside the recorded poses.
-
-    A pose is not exact, nor is the place of a wall in a map of cells: far away and at a slant the range is another.
-    """
-    chosen = random.permutation(len(transitions))[:_COMPARED]
-    expected, columns = world.expected_scans(transitions.states[chosen])
-    low, high = expected, expected
-    for error in (*np.diag(_BESIDE), *np.diag(-_BESIDE)):
-        beside, _ = world.expected_scans(transitions.states[chosen] + error)
-        low, high = np.minimum(low, beside), np.maximum(high, beside)
-    measured = transitions.observations[chosen][:, columns].astype(np.float64)
-    if not measured.size:
-        return 0.0
-    off = np.maximum(low - measured, measured - high) > _OFF + 4.0 * task.lidar.noise
-    if task.lidar.dropout > 0.0:
-        off &= measured < task.lidar.range.high
-    return float(off.mean())
-
-
-def contradicted(transitions: Transitions, task: NavigationTask) -> float:
-    """Return the share of the episodes that pass through the file's obstacles, or collide where it has none."""
-    free = TaskSets(task).clearance(transitions.next_states)
-    room = max(_OFF, 0.3 * task.robot.radius)
-    inside = (transitions.outcomes == Outcome.RUNNING) & (free < -room)
-    way = np.abs(displacements(transitions)[:, 0])
-    nothing_there = (transitions.outcomes == Outcome.COLLISION) & (free > room + 0.5 * way)
-    starts = np.flatnonzero(transitions.first)
-    return float((np.add.reduceat((inside | nothing_there).astype(np.int64), starts) > 0).mean())
 
 
 def effective_number(counts: NDArray[np.integer]) -> float:

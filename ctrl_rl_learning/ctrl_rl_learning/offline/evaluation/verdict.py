@@ -181,6 +181,12 @@ def _against_model(support: ModelSupport) -> Iterator[Objection]:
             f"{support.scans_off:.1%} of the recorded ranges are not those of the task file's walls",
             "nothing yet: correct the task file first",
         )
+    if support.movers > support.movers_by_law:
+        yield Objection(
+            f"{support.movers:.1%} of the recorded ranges end at something that moves, more than the task's movers "
+            f"explain ({support.movers_by_law:.1%})",
+            "nothing yet: correct 'movers' in the task file first",
+        )
     if support.contradicted > _MOST_CONTRADICTED:
         yield Objection(
             f"{support.contradicted:.0%} of the episodes pass through the task file's obstacles, or collide where it "

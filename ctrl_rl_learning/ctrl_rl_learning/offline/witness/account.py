@@ -8,22 +8,26 @@ account.refusal      # why nothing may be learnt by value or judged by roll-outs
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, World
 from ctrl_rl_learning.offline.witness.beams import LONGER, SHORTER, Beams, FileWalls, compare
+from ctrl_rl_learning.offline.witness.episode_worlds import EpisodeWalls, beside_own_walls
 from ctrl_rl_learning.offline.witness.limits import (
     commands_beyond,
     faster_than_robot,
     many_inside,
     states_inside,
 )
+from ctrl_rl_learning.offline.witness.movers import MoverReach
 from ctrl_rl_learning.offline.witness.offset import Offset, fit_offset, without_drift
 from ctrl_rl_learning.offline.witness.places import Place, find_places
-from ctrl_rl_learning.offline.witness.record import DriveRecord
+from ctrl_rl_learning.offline.witness.record import DriveRecord, Sightings
 
 Array = NDArray[np.float64]
 _WORTH_A_FIT = 0.01
@@ -38,6 +42,10 @@ _REFUSED_BEAMS, _REFUSED_OFF = 20, 0.06
 """Number of beams that must show a place, and distance from the file's wall [m], to refuse the file."""
 _CORNER = 0.12
 """Extent of a missing wall below which it is taken for a corner that beams just miss [m]."""
+_TOLD_WIDTH = 0.02
+"""Difference of a corridor's width from the file's that is told [m]."""
+_TOLD_SCALE = 0.01
+"""Difference of the wheels' radius between episodes that is told."""
 _MOST_PLACES = 8
 
 
@@ -107,7 +115,7 @@ class Account:
                 f"the bags' poses are not in the frame of task '{name}': correct the localisation's start, or move the"
                 f" file's walls, start and goal by {self.offset.inverse()}"
             )
-        if self.drift >= _REFUSED_DRIFT and "odom_drift" not in self.task.randomisation:
+        if self.drift >= _REFUSED_DRIFT and not {"odom_drift", "wheel_radius"} & set(self.task.randomisation):
             return (
                 f"the bags' poses drift by {self.drift:.2f} m from the frame of task '{name}': record the poses of a "
                 "localisation, not of odometry alone"
@@ -122,42 +130,84 @@ class Account:
 def examine(record: DriveRecord, task: NavigationTask) -> Account:
     """Compare what drives saw and did with a task's file.
 
-    Walls are compared on the floor only, and not where a task draws them for each episode.
+    Walls are compared on the floor only; where a task draws them for each episode, with those that its scans show.
     """
     notes, impossible = [*commands_beyond(record, task)], [*faster_than_robot(record, task)]
     paths = tuple(_paths(record))
     if task.plane != "xy" or not record.sightings:
         return Account(task, None, 0.0, None, 0.0, (), paths, tuple(notes), tuple(impossible))
-    if task.doorways is not None:
-        notes.append("each episode has doorways of its own: the walls are not compared")
-        return Account(task, None, 0.0, None, 0.0, (), paths, tuple(notes), tuple(impossible))
-    recorded = compare(record.sightings, task)
-    beams, offset, drift = _at_better_poses(recorded, record, task)
-    inside, count = states_inside(record, task)
-    if many_inside(inside, count) and offset is None and not drift:
+    found = _at_better_poses(record.sightings, task)
+    notes += _walls_of_episodes(found.walls, task)
+    inside, count = states_inside(found.seen, task, found.worlds)
+    if many_inside(inside, count) and found.offset is None and not found.drift:
         impossible.append(f"{inside} of {count} recorded states lie inside what the file calls a collision")
     # At poses that drift far, what is left of the differences is that of the drift.
-    places = () if drift >= _REFUSED_DRIFT else find_places(beams, task.build_world())
-    return Account(task, beams, recorded.differing, offset, drift, places, paths, tuple(notes), tuple(impossible))
+    reach = MoverReach(
+        task, list(found.worlds.values()) or [task.build_world()], np.random.default_rng(0), wanderers=False
+    )
+    places = () if found.drift >= _REFUSED_DRIFT else find_places(found.beams, task.build_world(), reach)
+    return Account(
+        task, found.beams, found.differing, found.offset, found.drift, places, paths, tuple(notes), tuple(impossible)
+    )
 
 
-def _at_better_poses(beams: Beams, record: DriveRecord, task: NavigationTask) -> tuple[Beams, Offset | None, float]:
-    """Return the beams at the poses that explain them best, with the offset or the drift [m] of the recorded ones."""
-    walls = FileWalls(task)
+class _Compared(NamedTuple):
+    """Beams at the poses that explain them best.
+
+    Attributes:
+        beams: The beams with their votes.
+        differing: Share of them that differs at the recorded poses.
+        offset: Offset of the recorded poses, if one explains most differences.
+        drift: Their drift [m], if it does; else 0.
+        walls: Walls of the episodes that have their own.
+        worlds: Their worlds.
+        seen: Scans at the recorded poses, with ways by the true radius of the wheels.
+    """
+
+    beams: Beams
+    differing: float
+    offset: Offset | None
+    drift: float
+    walls: Mapping[int, EpisodeWalls]
+    worlds: Mapping[int, World]
+    seen: Sequence[Sightings]
+
+
+def _at_better_poses(seen: Sequence[Sightings], task: NavigationTask) -> _Compared:
+    """Return the beams at the poses that explain them best, with the offset or the drift of the recorded ones."""
+    own = beside_own_walls(seen, task, np.random.default_rng(0))
+    beams, worlds = own.beams, own.worlds(task)
+    recorded, walls = _Compared(beams, beams.differing, None, 0.0, own.walls, worlds, own.seen), FileWalls(task, worlds)
     if beams.differing <= _WORTH_A_FIT:
-        return beams, None, 0.0
-    found = fit_offset(record.sightings, walls)
-    moved = compare([found.moved(seen) for seen in record.sightings], task)
-    if moved.differing <= _EXPLAINED * beams.differing:
+        return recorded
+    found = fit_offset(own.seen, walls)
+    moved = beside_own_walls([found.moved(each) for each in own.seen], task, np.random.default_rng(0))
+    if moved.beams.differing <= _EXPLAINED * beams.differing:
         told = found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN
-        return moved, found if told else None, 0.0
+        return recorded._replace(beams=moved.beams, offset=found if told else None, walls=moved.walls)
     if beams.differing < _WORTH_A_DRIFT:
-        return beams, None, 0.0
-    freed = [without_drift(seen, walls) for seen in record.sightings]
-    still, drift = compare([seen for seen, _ in freed], task), max(size for _, size in freed)
+        return recorded
+    freed = [without_drift(each, walls) for each in own.seen]
+    still, drift = compare([each for each, _ in freed], walls), max(size for _, size in freed)
     if still.differing > _EXPLAINED * beams.differing or drift < _TOLD_SHIFT:
-        return beams, None, 0.0
-    return still, None, drift
+        return recorded
+    return recorded._replace(beams=still, drift=drift)
+
+
+def _walls_of_episodes(walls: Mapping[int, EpisodeWalls], task: NavigationTask) -> Iterator[str]:
+    """Yield a line on the walls that the bags show and a task leaves open."""
+    if not walls or task.corridor is None:
+        return
+    widths = [each.width for each in walls.values()]
+    if max(abs(width - task.corridor.width) for width in widths) > _TOLD_WIDTH:
+        wide = f"{min(widths):.2f} to {max(widths):.2f} m"
+        yield f"the corridor is {wide} wide by the scans, {task.corridor.width:g} m by the file"
+    scales = [each.scale for each in walls.values()]
+    if max(scales) - min(scales) > _TOLD_SCALE:
+        yield f"wheels rolled {min(scales):.2f} to {max(scales):.2f} times as far as odometry says, by the scans"
+    if task.doorways is not None:
+        seen = np.concatenate([each.seen for each in walls.values()])
+        yield f"doorways of each episode by its scans: {seen.sum()} of {len(seen)} were seen"
 
 
 def _is_corner(place: Place) -> bool:

@@ -19,7 +19,7 @@ from scipy.ndimage import binary_closing, binary_dilation, label
 
 from ctrl_rl_core import NavigationTask, OccupancyMap, atomic_write, task_file
 from ctrl_rl_learning.errors import LearningError
-from ctrl_rl_learning.offline.witness.beams import compare
+from ctrl_rl_learning.offline.witness.beams import FileWalls, compare
 from ctrl_rl_learning.offline.witness.cells import Cells
 from ctrl_rl_learning.offline.witness.record import DriveRecord
 
@@ -65,7 +65,7 @@ def map_from_record(record: DriveRecord, task: NavigationTask) -> MapFromBag:
         raise LearningError(f"--map-from-bag: the bags of task '{task.name}' show no walls on a floor")
     sides = task.plane_bounds.values()
     grid = Cells.around(np.array([side.low for side in sides]), np.array([side.high for side in sides]), _MARGIN, _CELL)
-    beams = compare(record.sightings, task)
+    beams = compare(record.sightings, FileWalls(task))
     echoes = beams.rows(beams.echoes)
     # What ended off the grid would count for the cells at its edge.
     inside = ((echoes.ends > grid.corner) & (echoes.ends < grid.far_corner)).all(axis=1)

@@ -7,7 +7,7 @@ corner. A beam in which a wall that stands `DIFFERENCE` from its place would not
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from sim_bridge.engines import shape_row
 from sim_bridge.fleet import scans
 
-from ctrl_rl_core import NavigationTask
+from ctrl_rl_core import NavigationTask, World
 from ctrl_rl_learning.offline.data.motion import displaced
 from ctrl_rl_learning.offline.witness.map_rays import map_ranges
-from ctrl_rl_learning.offline.witness.record import Sightings
+from ctrl_rl_learning.offline.witness.record import Sightings, lidar_place
 
 Array = NDArray[np.float64]
 DIFFERENCE = 0.10
@@ -51,14 +51,23 @@ class Expected:
 
 
 class FileWalls:
-    """The walls of a task's file as a lidar on its robot would see them."""
+    """The walls of a task's file as a lidar on its robot would see them.
 
-    def __init__(self, task: NavigationTask) -> None:
-        world = task.build_world()
+    Args:
+        task: Task of the file.
+        worlds: Walls of episodes that have others, by their number.
+    """
+
+    def __init__(self, task: NavigationTask, worlds: Mapping[int, World] | None = None) -> None:
+        self.task = task
         self._map = None if task.map is None else task.map.map
-        shapes = world.obstacles if self._map is not None else (*world.walls, *world.obstacles)
-        self._shapes = [shape_row(shape) for shape in shapes]
+        self._usual = self._shapes_of(task.build_world())
+        self._others = {number: self._shapes_of(world) for number, world in (worlds or {}).items()}
         self._mount = lidar_place(task)
+
+    def _shapes_of(self, world: World) -> Array:
+        shapes = world.obstacles if self._map is not None else (*world.walls, *world.obstacles)
+        return np.array([shape_row(shape) for shape in shapes])
 
     def expect(self, seen: Sightings) -> Expected:
         """Return the ranges that the file gives where scans were taken."""
@@ -76,15 +85,20 @@ class FileWalls:
 
     def _cast(self, lidars: Array, seen: Sightings) -> Array:
         out = np.full((len(lidars), len(seen.bearings)), np.inf)
-        if self._shapes:
-            scans(np.array(self._shapes), lidars, seen.bearings, seen.reach, out)
+        for shapes, rows in self._by_world(seen.episodes):
+            if len(shapes):
+                part = np.empty((len(lidars[rows]), len(seen.bearings)))
+                scans(shapes, lidars[rows], seen.bearings, seen.reach, part)
+                out[rows] = part
         return out if self._map is None else np.minimum(out, map_ranges(self._map, lidars, seen.bearings, seen.reach))
 
-
-def lidar_place(task: NavigationTask) -> tuple[float, float]:
-    """Return where the lidar sits, ahead of the robot's middle and to the left of it [m]."""
-    robot = task.robot.robot
-    return (0.0, 0.0) if robot is None else (robot.lidar.x, robot.lidar.y)
+    def _by_world(self, episodes: NDArray[np.int64]) -> Iterator[tuple[Array, slice | NDArray[np.bool_]]]:
+        """Yield the shapes of each world, with the scans that were taken in it."""
+        if not self._others:
+            yield self._usual, slice(None)
+            return
+        for number in np.unique(episodes).tolist():
+            yield self._others.get(number, self._usual), episodes == number
 
 
 @dataclass(frozen=True)
@@ -136,10 +150,10 @@ class Beams:
         return Beams(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
 
-def compare(seen: Sequence[Sightings], task: NavigationTask) -> Beams:
+def compare(seen: Sequence[Sightings], walls: FileWalls) -> Beams:
     """Return what each beam says about the walls of a task's file."""
-    walls = FileWalls(task)
-    tolerance = _LEAST_TOLERANCE + _NOISES * max(_LEAST_NOISE, task.lidar.noise)
+    task = walls.task
+    tolerance = _LEAST_TOLERANCE + _NOISES * max(_LEAST_NOISE, noise_of(task))
     parts, first = [], 0
     for sightings in seen:
         for piece in pieces(sightings):
@@ -148,6 +162,18 @@ def compare(seen: Sequence[Sightings], task: NavigationTask) -> Beams:
     return Beams(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Beams)}
     )
+
+
+def noise_of(task: NavigationTask) -> float:
+    """Return the largest noise of a task's lidar [m]."""
+    drawn = task.randomisation.get("scan_noise")
+    return task.lidar.noise if drawn is None else drawn.high
+
+
+def dropout_of(task: NavigationTask) -> float:
+    """Return the largest share of beams that a task's lidar loses."""
+    drawn = task.randomisation.get("scan_dropout")
+    return task.lidar.dropout if drawn is None else drawn.high
 
 
 def pieces(seen: Sightings) -> Iterator[Sightings]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import NavigationTask
-from ctrl_rl_learning.offline.witness.record import DriveRecord
+from ctrl_rl_core import NavigationTask, World
+from ctrl_rl_learning.offline.witness.record import DriveRecord, Sightings
 
 Array = NDArray[np.float64]
 _DEEP = 0.10
@@ -21,15 +21,30 @@ _FEW_FASTER = 0.02
 _NAMES = (("speed", "m/s"), ("turn rate", "rad/s"))
 
 
-def states_inside(record: DriveRecord, task: NavigationTask) -> tuple[int, int]:
+def states_inside(sightings: Sequence[Sightings], task: NavigationTask, worlds: Mapping[int, World]) -> tuple[int, int]:
     """Return how many recorded states lie inside what the file calls a collision, and the number of all.
 
     The last state of an episode does not count: a simulated body that has collided may be in a wall by then.
+
+    Args:
+        sightings: Scans with their poses.
+        task: Their task.
+        worlds: Walls of episodes that have others than the file, by their number.
     """
+    inner = inner_radius(task)
+    kept = [(seen.poses[:-1, :2], seen.episodes[:-1], np.diff(seen.episodes) == 0) for seen in sightings]
+    places = np.concatenate([poses[same] for poses, _, same in kept])
+    episodes = np.concatenate([numbers[same] for _, numbers, same in kept])
+    distances, usual = np.empty(len(places)), task.build_world()
+    for number in np.unique(episodes).tolist():
+        distances[episodes == number] = worlds.get(number, usual).signed_distance(places[episodes == number])
+    return int((distances < inner - _DEEP).sum()), len(places)
+
+
+def inner_radius(task: NavigationTask) -> float:
+    """Return the radius of a disc that the body of a task's robot holds [m]."""
     robot = task.robot.robot
-    inner = task.robot.radius if robot is None or not robot.width else 0.5 * min(robot.width, robot.length)
-    places = np.concatenate([seen.poses[:-1, :2][np.diff(seen.episodes) == 0] for seen in record.sightings])
-    return int((task.build_world().signed_distance(places) < inner - _DEEP).sum()), len(places)
+    return task.robot.radius if robot is None or not robot.width else 0.5 * min(robot.width, robot.length)
 
 
 def many_inside(inside: int, count: int) -> bool:

@@ -16,6 +16,7 @@ from scipy.ndimage import binary_dilation, label
 from ctrl_rl_core import World
 from ctrl_rl_learning.offline.witness.beams import AGREES, LONGER, SHORTER, Beams
 from ctrl_rl_learning.offline.witness.cells import Cells
+from ctrl_rl_learning.offline.witness.movers import MoverReach
 
 Array = NDArray[np.float64]
 Kind = Literal["unknown", "missing", "mover"]
@@ -86,10 +87,17 @@ class Place:
         return f"{perhaps}a wall at {where} that the file does not have, {self.off:.2f} m from the file's: {wide}, {by}"
 
 
-def find_places(beams: Beams, world: World) -> tuple[Place, ...]:
-    """Return where beams contradict a file's world, those that most beams show first."""
+def find_places(beams: Beams, world: World, reach: MoverReach) -> tuple[Place, ...]:
+    """Return where beams contradict a file's world, those that most beams show first.
+
+    Args:
+        beams: Beams with their votes.
+        world: Walls of the file.
+        reach: Where movers of the file may stand: what ends there contradicts nothing.
+    """
     if not len(beams):
         return ()
+    beams = beams.rows((beams.votes != SHORTER) | ~reach.holds(beams.ends))
     ends = beams.ends
     grid = Cells.around(ends.min(axis=0), ends.max(axis=0))
     found = [*_new_ones(beams, world, grid), *_missing_ones(beams, grid)]

@@ -8,7 +8,7 @@ account = examine(witness.record(), task)
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,9 @@ from ctrl_rl_core import NavigationTask
 
 Array = NDArray[np.float64]
 MOST_BEAMS = 300_000
-"""Number of beams that are looked at; of longer drives every second, fourth, ... scan is."""
+"""Number of beams that are looked at; of longer drives every second, fourth, ... beam is, and then scan."""
+_FEWEST_BEAMS = 90
+"""Beams of a scan that are kept before scans are left out: poses that follow closely tell how a robot went."""
 _FARTHEST = 30.0
 """Reach beyond which no lidar on a small robot is believed [m]: an LDS-02 claims 100 m."""
 
@@ -46,6 +48,12 @@ class Sightings:
     def rows(self, chosen: slice | NDArray[Any]) -> Sightings:
         """Return some of the scans."""
         return Sightings(self.poses[chosen], self.bearings, self.ranges[chosen], self.reach, self.episodes[chosen])
+
+
+def lidar_place(task: NavigationTask) -> tuple[float, float]:
+    """Return where the lidar sits, ahead of the robot's middle and to the left of it [m]."""
+    robot = task.robot.robot
+    return (0.0, 0.0) if robot is None else (robot.lidar.x, robot.lidar.y)
 
 
 @dataclass(frozen=True)
@@ -78,7 +86,7 @@ class Witness:
         self._scans: dict[tuple[Any, ...], list[Sightings]] = {}
         self._speeds: list[Array] = []
         self._commands: list[Array] = []
-        self._every, self._beams, self._episodes = 1, 0, 0
+        self._every, self._stride, self._beams, self._episodes = 1, 1, 0, 0
 
     def watch(self, frames: Iterable[Frames], scan: ScanLayout) -> Iterator[Frames]:
         """Yield frames of one layout as they come, and take what they hold."""
@@ -93,17 +101,18 @@ class Witness:
         chosen = slice(None, None, self._every)
         ranges = np.array([measured(row, geometry) for row in columns[SCAN][chosen]], dtype=np.float32)
         bearings = geometry.angle_min + geometry.angle_increment * np.arange(geometry.beams, dtype=np.float64)
+        key = (geometry.beams, *bearings[[0, -1]].tolist(), min(geometry.range_max, _FARTHEST))
         seen = Sightings(
             np.array([planar(row[:7].tolist()) for row in odometry[chosen]]),
-            bearings,
-            ranges,
-            min(geometry.range_max, _FARTHEST),
+            bearings[:: self._stride],
+            ranges[:, :: self._stride],
+            key[-1],
             np.full(len(ranges), self._episodes),
         )
-        self._scans.setdefault((geometry.beams, *bearings[[0, -1]].tolist(), seen.reach), []).append(seen)
+        self._scans.setdefault(key, []).append(seen)
         self._speeds.append(odometry[:, [V, OMEGA_Z]])
         self._commands.append(columns[ACTION][~columns[IS_LAST].astype(np.bool_)])
-        self._beams += ranges.size
+        self._beams += seen.ranges.size
         while self._beams > 2 * MOST_BEAMS:
             self._thin_out()
 
@@ -117,10 +126,13 @@ class Witness:
         )
 
     def _thin_out(self) -> None:
-        """Keep every second scan, of those to come as well."""
-        self._every *= 2
+        """Keep every second beam, or scan where the beams are few, of those to come as well."""
+        of_beams = min(len(parts[0].bearings) for parts in self._scans.values()) >= 2 * _FEWEST_BEAMS
+        self._stride, self._every = (2 * self._stride, self._every) if of_beams else (self._stride, 2 * self._every)
         for key, parts in self._scans.items():
-            self._scans[key] = [_joined(parts).rows(slice(None, None, 2))]
+            seen = _joined(parts)
+            fewer = replace(seen, bearings=seen.bearings[::2], ranges=seen.ranges[:, ::2]) if of_beams else None
+            self._scans[key] = [fewer or seen.rows(slice(None, None, 2))]
         self._beams = sum(part.ranges.size for parts in self._scans.values() for part in parts)
 
 
