@@ -139,11 +139,12 @@ def _kept_policy(options: ImproveOptions, terms: Mapping[str, Any]) -> Actor | N
 def _report(
     options: ImproveOptions, task: NavigationTask, actor: Actor, transitions: Transitions, to_judge: Transitions
 ) -> OfflineReport:
-    """Return what the bags say about a policy.
+    """Return what the bags say about a policy, by the held-out episodes where these are enough.
 
-    Roll-outs may use all episodes: their models are tried on pieces of the bags that they were not fitted to. Where the
-    bags do not bear them out, nothing tries fitted Q evaluation so, and the held-out episodes alone judge.
+    Where they are few, roll-outs use all episodes: their models are tried on pieces of the bags that they were not
+    fitted to. Nothing tries fitted Q evaluation so, and there the held-out episodes alone judge.
     """
+    from ctrl_rl_learning.offline.data.held_out import ENOUGH
     from ctrl_rl_learning.offline.data.values import load_values
     from ctrl_rl_learning.offline.evaluation.roll_outs import can_model
 
@@ -152,7 +153,8 @@ def _report(
     def judged(by: Transitions) -> OfflineReport:
         return judge(by, task, actor, values, updates=options.fit_updates, fits=options.fits, seed=options.seed)
 
-    if can_model(task) and (report := judged(transitions)).by_model:
+    few = to_judge.episode_count < ENOUGH
+    if few and can_model(task) and (report := judged(transitions)).by_model:
         return report
     return judged(to_judge)
 

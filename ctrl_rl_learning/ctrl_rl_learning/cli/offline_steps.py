@@ -6,18 +6,19 @@ Torch takes seconds to import: it is imported where it is needed, so that `--hel
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
-from ctrl_rl_bags.datasets import Found, TaskDriveOptions, print_note
+from ctrl_rl_bags.datasets import Found, Frames, Layout, TaskDriveOptions, print_note
 from ctrl_rl_core.command import FolderToWrite, NotNegative, OptionalNotNegativeNumber, Positive, one_of
 from tqdm import tqdm
 
 from ctrl_rl_core import Actor, NavigationTask
+from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.offline.learners.settings import METHODS, NEEDS_VALUE, LearningSettings
 from ctrl_rl_learning.study.curves import Curves
 
@@ -93,25 +94,30 @@ def read_bags(
     """
     from ctrl_rl_learning.cli.differences import check_differences, take_map
     from ctrl_rl_learning.offline.data.contents import describe
-    from ctrl_rl_learning.offline.data.transitions import load_transitions
+    from ctrl_rl_learning.offline.data.transitions import from_frames, read_frames
     from ctrl_rl_learning.offline.evaluation.verdict import what_few_show
     from ctrl_rl_learning.offline.witness import Witness
 
     found, witness, note = Found(), Witness(task), partial(print_note, command)
-    transitions = load_transitions(options.runs, task, options, tell=note, found=found, witness=witness)
+    bags: Iterable[tuple[Layout, Iterable[Frames]]] = read_frames(options.runs, task, options, note, found, witness)
+    if options.map_from_bag:
+        kept = [(layout, list(frames)) for layout, frames in bags]  # which become transitions among the map's walls
+        source, about = options.task, ", ".join(run.name for run in options.runs)
+        task = take_map(command, witness.record(), source, about, reading.maps, overwrite=reading.overwrite)
+        bags = kept
+    transitions = from_frames(bags, task)
+    if transitions is None:
+        raise LearningError(f"{options.runs[0]}: {found.why_nothing}")
+    for line in found.notes:
+        note(line)
     for line in describe(transitions, task, found):
         print(line)
     few = what_few_show(transitions.episode_count)
     if few:
         print(f"{command}: {few}", file=sys.stderr)
-    record = witness.record()
     if not options.map_from_bag:
-        check_differences(command, record, task, reading.picture, believes_walls=reading.believes_walls)
-        return task, transitions
-    source, about = options.task, ", ".join(run.name for run in options.runs)
-    task = take_map(command, record, source, about, reading.maps, overwrite=reading.overwrite)
-    again = replace(options, other_task=True)  # which the first reading has looked at
-    return task, load_transitions(options.runs, task, again, tell=lambda _: None)
+        check_differences(command, witness.record(), task, reading.picture, believes_walls=reading.believes_walls)
+    return task, transitions
 
 
 def teach(

@@ -11,6 +11,8 @@ from ctrl_rl_learning.offline.data.transitions import Transitions
 
 FEWEST = 10
 """Episodes to learn from, and to judge by, at least."""
+ENOUGH = 20
+"""Held-out episodes that judge alone: a success of all of them leaves at most 16 failures of 100 open."""
 
 
 def hold_out(transitions: Transitions, share: float, seed: int) -> tuple[Transitions, Transitions]:

@@ -5,7 +5,7 @@ transitions = load_transitions([Path("runs/drives/bag")], load_navigation_task("
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,22 +142,43 @@ def load_transitions(
         LearningError: Nothing in it is a transition.
         PolicyError: The scans do not show what a policy observes.
     """
-    options, found = options or TaskDriveOptions(), Found() if found is None else found
+    found = Found() if found is None else found
+    bags = read_frames(runs, task, options or TaskDriveOptions(), tell, found, witness)
+    transitions = from_frames(bags, task, interface)
+    if transitions is None:
+        raise LearningError(f"{runs[0]}: {found.why_nothing}")
+    for line in found.notes:
+        tell(line)
+    return transitions
+
+
+def read_frames(
+    runs: Sequence[Path],
+    task: NavigationTask,
+    options: TaskDriveOptions,
+    tell: Callable[[str], object],
+    found: Found,
+    witness: Witness | None = None,
+) -> Iterator[tuple[Layout, Iterable[Frames]]]:
+    """Yield layout and frames of each bag; arguments and errors as of `load_transitions`."""
     how = options.extraction(period=task.episode.time_step)
-    parts: list[Transitions] = []
     for run in runs:
         bag = find_bag(run)
         layout = find_layout(bag, how)
         check_task(bag, layout.digests, task.name, task_digest(task), allowed=options.other_task, tell=tell)
-        before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
         frames = extract([bag], layout, how, found)
-        watched = frames if witness is None else witness.watch(frames, layout.scan)
-        parts += to_transitions(watched, layout, task, before, interface)
-    if not parts:
-        raise LearningError(f"{runs[0]}: {found.why_nothing}")
-    for line in found.notes:
-        tell(line)
-    return concatenate(parts)
+        yield layout, frames if witness is None else witness.watch(frames, layout.scan)
+
+
+def from_frames(
+    bags: Iterable[tuple[Layout, Iterable[Frames]]], task: NavigationTask, interface: PolicyManifest | None = None
+) -> Transitions | None:
+    """Return the transitions of bags by layout and frames; None where there are none."""
+    parts: list[Transitions] = []
+    for layout, frames in bags:
+        before = 0 if not parts else int(parts[-1].episodes[-1]) + 1
+        parts += to_transitions(frames, layout, task, before, interface)
+    return concatenate(parts) if parts else None
 
 
 def to_transitions(
