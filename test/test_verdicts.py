@@ -9,6 +9,8 @@ from ctrl_rl_core.io import read_json
 from verdicts.command import KINDS, Judged, main, table
 from verdicts.worlds import DIFFERENCES, draw_pair, kind_of
 
+from ctrl_rl_core import load_navigation_task
+
 
 def test_every_second_world_is_as_its_file_says() -> None:
     kinds = [kind_of(seed) for seed in range(16)]
@@ -43,12 +45,26 @@ def test_command_judges_a_world_and_writes_results(
 ) -> None:
     output = tmp_path / "verdicts.json"
     words = ["--count", "1", "--episodes", "12", "--tests", "6", "--updates", "60", "--output", str(output)]
+    words += ["--work", str(tmp_path / "work")]
     monkeypatch.setattr("sys.argv", ["verdicts", *words])
     assert main() == 0
     lines = capsys.readouterr().out.splitlines()
     assert sum(" 0 alike " in line for line in lines) == 8
     rows = {(row["method"], row["metric"]): row["values"] for row in read_json(output)["rows"]}
     assert len(rows["alike", "called better"]) == 8
+    monkeypatch.setattr("verdicts.command.judge_world", None)
+    assert main() == 0, "what was judged is not judged again"
+    assert capsys.readouterr().out.splitlines() == lines
+
+
+def test_the_task_files_of_worlds_are_written_for_other_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["verdicts", "--count", "2", "--seed", "7", "--write", str(tmp_path / "tasks")])
+    assert main() == 0
+    tasks = [load_navigation_task(file) for file in capsys.readouterr().out.split()]
+    assert [task.name for task in tasks] == ["drawn_7", "drawn_8"]
+    assert tasks[1].obstacles == draw_pair(8, tmp_path / "pair").believed.obstacles
 
 
 @pytest.mark.parametrize("words", [["--kind", "colour"], ["--count", "0"]])

@@ -1,6 +1,7 @@
 """Hold the verdicts of `evaluate_offline` to what policies then do, in worlds that are or are not as their file says.
 
 python test/verdicts [--count 60] [--seed 0] [--minutes M] [--output FILE] [--kind NAME]
+                       [--work FOLDER] [--write FOLDER]
 """
 
 from __future__ import annotations

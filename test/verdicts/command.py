@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import count, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,6 +38,7 @@ from ctrl_rl_core import (
     NavigationTask,
     Outcome,
     Result,
+    atomic_write,
     drive_fleet,
     load_policy,
     parse_options,
@@ -45,7 +47,7 @@ from ctrl_rl_core import (
 )
 from sim_bridge import PlanarFleet
 from verdicts.policies import policies
-from verdicts.worlds import DIFFERENCES, Pair, draw_pair, kind_of
+from verdicts.worlds import DIFFERENCES, Pair, draw_pair, kind_of, write_task
 
 KINDS = ("alike", *DIFFERENCES)
 _TEST_SEED = 500_000
@@ -73,8 +75,12 @@ class Options:
     """Updates of the best policy."""
     minutes: float = 0.0
     """Time after which no further world is begun; 0 for none."""
+    work: Path = Path("runs/verdicts")
+    """Folder of what was judged, a file a world: a call of the same numbers goes on where another one was cut off."""
     output: Path | None = None
-    """JSON file for the results."""
+    """JSON file for the results, written after each world."""
+    write: Path | None = None
+    """Folder to write the task files of the worlds to, for other commands; then nothing is judged."""
 
 
 @dataclass(frozen=True)
@@ -122,21 +128,44 @@ def main() -> int:
         print("verdicts: numbers must be 1 or more, --seed 0 or more", file=sys.stderr)
         return EXIT_USAGE
     seeds = islice((s for s in count(options.seed) if not options.kind or kind_of(s) == options.kind), options.count)
+    if options.write is not None:
+        print("\n".join(str(write_task(seed, options.write)) for seed in seeds))
+        return 0
     judged: list[Judged] = []
     done: list[int] = []
     end = time.monotonic() + 60.0 * options.minutes
     for seed in tqdm(seeds, "verdicts", options.count, unit=" worlds", disable=None):
-        if options.minutes and time.monotonic() > end:
-            break
-        with TemporaryDirectory() as folder:
-            for each in judge_world(seed, Path(folder), options):
-                judged.append(each)
-                print(line(each), flush=True)
+        kept = options.work / f"{seed}{options.kind}.json"
+        found = _kept(kept, options)
+        if found is None:
+            if options.minutes and time.monotonic() > end:
+                continue  # worlds that were judged before count
+            with TemporaryDirectory() as folder:
+                found = list(judge_world(seed, Path(folder), options))
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            atomic_write(kept, json.dumps({"terms": _terms(options), "judged": [asdict(each) for each in found]}))
+        print("\n".join(line(each) for each in found), flush=True)
+        judged += found
         done.append(seed)
+        if options.output is not None and judged:
+            write_results(options.output, "Verdicts from bags beside what the policies then do", done, rows(judged))
     print(table(judged))
-    if options.output is not None and judged:
-        write_results(options.output, "Verdicts from bags beside what the policies then do", done, rows(judged))
     return int(not judged)
+
+
+def _terms(options: Options) -> list[int]:
+    """Return what must be the same to count what was judged before."""
+    return [options.episodes, options.tests, options.updates]
+
+
+def _kept(file: Path, options: Options) -> list[Judged] | None:
+    """Return what an earlier call of the same numbers judged in a world; None where there is none."""
+    if not file.exists():
+        return None
+    content = read_json(file)
+    if content["terms"] != _terms(options):
+        return None
+    return [Judged(**{**each, "success": tuple(each["success"])}) for each in content["judged"]]
 
 
 def judge_world(seed: int, folder: Path, options: Options) -> Iterator[Judged]:

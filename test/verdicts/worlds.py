@@ -64,6 +64,15 @@ def draw_pair(seed: int, folder: Path, kind: str = "") -> Pair:
     return Pair(kind, folder / "file" / f"{NAME}.yaml", tasks["file"], tasks["recorded"], tasks["driven"])
 
 
+def write_task(seed: int, folder: Path) -> Path:
+    """Write the task file of a seed's world into a folder, named by the seed, and return it."""
+    content = _draw(np.random.default_rng((seed, 40))) | {"name": f"{NAME}_{seed}"}
+    file = folder / f"{NAME}_{seed}.yaml"
+    folder.mkdir(parents=True, exist_ok=True)
+    file.write_text(yaml.safe_dump(content, sort_keys=False))
+    return file
+
+
 def _draw(random: np.random.Generator) -> dict[str, Any]:
     boxes = [_box(random) for _ in range(int(random.integers(7, 13)))]
     speed, turn = random.uniform(1.2, 2.0), random.uniform(0.5, 1.0)
