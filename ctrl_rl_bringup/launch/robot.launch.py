@@ -1,11 +1,11 @@
-"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=... | navigate:=true] [filter:=true]: drives a real robot.
+"""ros2 launch ctrl_rl_bringup robot.launch.py [policy:=... | navigate:=true] [filter:=...]: drives a real robot.
 
-A policy's controller, or the navigator with navigate:=true, commands on cmd_vel_raw; with filter:=true the safety
-filter sends safe commands on cmd_vel_safe; only the watchdog talks to the robot, on cmd_vel. It stops the robot if the
-nodes before it die. If it dies itself it is restarted, and begins with zeros.
+A policy's controller, or the navigator with navigate:=true, commands on cmd_vel_raw; with filter:=true, the default of
+the navigator, the safety filter sends safe commands on cmd_vel_safe; only the watchdog talks to the robot, on cmd_vel.
+It stops the robot if the nodes before it die. If it dies itself it is restarted, and begins with zeros.
 """
 
-from launch import LaunchDescription
+from launch import LaunchDescription, Substitution
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -20,7 +20,7 @@ ARGUMENTS = {
     "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "policy": (DEFAULT_POLICY, "policy name or file of the controller, which drives unless navigate:=true"),
     "navigate": ("false", "whether the navigator drives to goals on a map instead"),
-    "filter": ("false", "whether the safety filter stands before the watchdog"),
+    "filter": (LaunchConfiguration("navigate"), "whether the safety filter stands before the watchdog"),
     "stamped": ("true", "cmd_vel is a TwistStamped (Jazzy), else a Twist (Humble)"),
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "commands": (
@@ -35,7 +35,7 @@ ARGUMENTS = {
     "use_map": ("false", "whether the topic map tells the filter what never moves"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
 }
-_NAVIGATION = ("map", "pose", "robot", "stamped", "timeout", "use_sim_time")
+_NAVIGATION = ("map", "pose", "robot", "filter", "mover_speed", "use_map", "stamped", "timeout", "use_sim_time")
 _FILTER = ("robot", "mover_speed", "use_map", "pose", "stamped", "timeout", "use_sim_time")
 
 
@@ -45,7 +45,9 @@ def generate_launch_description() -> LaunchDescription:
     stamped = ParameterValue(given["stamped"], value_type=bool)
     clock = ParameterValue(given["use_sim_time"], value_type=bool)
     robot = ParameterValue(given["robot"], value_type=str)
-    last = PythonExpression(["'cmd_vel_safe' if '", given["filter"], "'.lower() in ('true', '1') else 'cmd_vel_raw'"])
+    filters, navigates = (("'", given[name], "'.lower() in ('true', '1')") for name in ("filter", "navigate"))
+    last = PythonExpression(["'cmd_vel_safe' if ", *filters, " else 'cmd_vel_raw'"])
+    alone = PythonExpression([*filters, " and not ", *navigates])
     return LaunchDescription(
         [
             *(
@@ -84,18 +86,18 @@ def generate_launch_description() -> LaunchDescription:
                 condition=UnlessCondition(given["navigate"]),
                 output="screen",
             ),
-            _included("ctrl_rl_navigation", "navigation", "navigate", _NAVIGATION),
-            _included("ctrl_rl_safety", "safety_filter", "filter", _FILTER),
+            _included("ctrl_rl_navigation", "navigation", given["navigate"], _NAVIGATION),  # with a filter of its own
+            _included("ctrl_rl_safety", "safety_filter", alone, _FILTER),
         ]
     )
 
 
-def _included(package: str, file: str, wanted: str, handed_on: tuple[str, ...]) -> IncludeLaunchDescription:
+def _included(package: str, file: str, wanted: Substitution, handed_on: tuple[str, ...]) -> IncludeLaunchDescription:
     """Include another launch file without its watchdog: a robot has only one."""
     path = PathJoinSubstitution([FindPackageShare(package), "launch", f"{file}.launch.py"])
     arguments = {name: LaunchConfiguration(name) for name in handed_on}
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(path),
         launch_arguments=[("watchdog", "false"), *arguments.items()],
-        condition=IfCondition(LaunchConfiguration(wanted)),
+        condition=IfCondition(wanted),
     )

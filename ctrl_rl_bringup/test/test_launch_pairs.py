@@ -98,11 +98,11 @@ def test_two_launch_files_together_do_not_move_the_robot(robot: FakeRobot, launc
     assert set(speeds) == {0.0}
 
 
-@pytest.mark.parametrize("driver", ["navigate:=true", "navigate:=false"])
+@pytest.mark.parametrize("driver", [("navigate:=true",), ("navigate:=false", "filter:=true")], ids=str)
 def test_one_launch_file_has_one_watchdog_behind_the_filter(
-    robot: FakeRobot, launch: Callable[..., Path], driver: str
+    robot: FakeRobot, launch: Callable[..., Path], driver: tuple[str, ...]
 ) -> None:
-    log = launch(*ROBOT, driver, "filter:=true", "map:=corridor", "policy:=curved_corridor")
+    log = launch(*ROBOT, *driver, "map:=corridor", "policy:=curved_corridor")
     robot.until(lambda: robot.node.count_publishers("safety_filter/status") == 1)
     robot.until(lambda: robot.node.count_publishers("cmd_vel") == 1)
     speeds = robot.look(3.0)
@@ -112,5 +112,5 @@ def test_one_launch_file_has_one_watchdog_behind_the_filter(
 
 
 def test_without_a_filter_it_drives(robot: FakeRobot, launch: Callable[..., Path]) -> None:
-    launch(*NAVIGATION, "watchdog:=true")
+    launch(*NAVIGATION, "filter:=false")
     robot.until(lambda: robot.speeds[-3:] == [0.1] * 3)

@@ -1,13 +1,15 @@
-"""Launch file with navigator and watchdog for a real robot.
+"""Launch file with navigator, safety filter and watchdog for a real robot.
 
-Run it with `ros2 launch ctrl_rl_navigation navigation.launch.py map:=office.yaml`. The watchdog stops the robot when
-the navigator dies; it is restarted if it dies itself, and starts by sending zeros. Without `map`, the map comes from
-another node on the topic `map`; a localiser (AMCL, slam_toolbox) is started elsewhere.
+Run it with `ros2 launch ctrl_rl_navigation navigation.launch.py map:=office.yaml`. The navigator commands on
+cmd_vel_raw, the filter sends what is safe of it on cmd_vel_safe, and only the watchdog talks to the robot, on cmd_vel.
+The watchdog stops the robot when a node before it dies; it is restarted if it dies itself, and starts by sending zeros.
+Without `map`, it comes from another node on the topic `map`; a localiser (AMCL, slam_toolbox) is started elsewhere.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.conditions import IfCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -20,14 +22,20 @@ ARGUMENTS = {
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "max_speed": ("", "largest speed [m/s]; empty for the robot's"),
+    "filter": ("true", "whether the safety filter stands between navigator and watchdog"),
+    "mover_speed": ("0.0", "largest speed of people and other robots around, for the filter [m/s]"),
+    "use_map": ("false", "whether the topic map tells the filter what never moves"),
     "watchdog": ("true", "whether to start the watchdog; false where another launch file starts it"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
     "rviz": ("false", "whether to start RViz"),
 }
+_FILTER = ("robot", "mover_speed", "use_map", "pose", "stamped", "timeout", "use_sim_time")
+_IN_THE_OPEN = {"min_echo_share": "0.02", "largest_gap": "6.3", "watchdog": "false"}
+"""Arguments of the filter: a hall on the map may be wider than the lidar's range."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the launch description of map server, navigator, watchdog and optionally RViz."""
+    """Return the launch description of map server, navigator, filter, watchdog and optionally RViz."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     stamped = ParameterValue(given["stamped"], value_type=bool)
     clock = {"use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool)}
@@ -36,6 +44,8 @@ def generate_launch_description() -> LaunchDescription:
     # The robot's value by default: a launch file cannot omit a parameter.
     own = ("ctrl_rl_core.find_robot('", given["robot"], "').plan.speed")
     fastest = PythonExpression(["float('", given["max_speed"], "' or ", *own, ")"], ["ctrl_rl_core"])
+    last = PythonExpression(["'cmd_vel_safe' if '", given["filter"], "'.lower() in ('true', '1') else 'cmd_vel_raw'"])
+    safety = PathJoinSubstitution([FindPackageShare("ctrl_rl_safety"), "launch", "safety_filter.launch.py"])
     return LaunchDescription(
         [
             *(
@@ -61,8 +71,14 @@ def generate_launch_description() -> LaunchDescription:
                         **clock,
                     }
                 ],
+                remappings=[("cmd_vel_raw", last)],
                 output="screen",
                 respawn=True,
+            ),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(safety),
+                launch_arguments=[*_IN_THE_OPEN.items(), *((name, given[name]) for name in _FILTER)],
+                condition=IfCondition(given["filter"]),
             ),
             Node(
                 package="ctrl_rl_navigation",

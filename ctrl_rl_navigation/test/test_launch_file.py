@@ -7,11 +7,14 @@ import yaml
 from ament_index_python.packages import get_package_prefix
 
 FOLDER = Path(__file__).parents[1]
+LAUNCH = FOLDER / "launch" / "navigation.launch.py"
+BRINGUP = FOLDER.parent / "ctrl_rl_bringup" / "launch" / "robot.launch.py"
+SAFETY = FOLDER.parent / "ctrl_rl_safety" / "launch" / "safety_filter.launch.py"
 TOPICS = {"/map", "/navigator/slice", "/path", "/scan", "/robot_description", "/walls", "/initialpose", "/goal_pose"}
 
 
 def test_the_launch_file_starts_executables_of_the_workspace() -> None:
-    tree = ast.parse((FOLDER / "launch" / "navigation.launch.py").read_text())
+    tree = ast.parse(LAUNCH.read_text())
     started = []
     for call in ast.walk(tree):
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Node":
@@ -21,6 +24,23 @@ def test_the_launch_file_starts_executables_of_the_workspace() -> None:
     for package, executable in started:
         if package != "rviz2":
             assert (Path(get_package_prefix(package)) / "lib" / package / executable).is_file()
+
+
+def names(file: Path, variable: str) -> set[str]:
+    """Return the keys or entries of a launch file's dictionary or tuple."""
+    for node in ast.parse(file.read_text()).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == variable:
+            assert isinstance(node.value, ast.Dict | ast.Tuple)
+            found = node.value.keys if isinstance(node.value, ast.Dict) else node.value.elts
+            return {ast.literal_eval(each) for each in found if each is not None}
+    raise AssertionError(f"{file.name} has no {variable}")
+
+
+def test_launch_files_hand_on_arguments_that_the_included_ones_have() -> None:
+    assert names(LAUNCH, "_FILTER") | names(LAUNCH, "_IN_THE_OPEN") <= names(SAFETY, "ARGUMENTS")
+    assert names(BRINGUP, "_FILTER") <= names(SAFETY, "ARGUMENTS")
+    assert {"filter", "mover_speed"} < names(BRINGUP, "_NAVIGATION") <= names(LAUNCH, "ARGUMENTS")
+    assert names(LAUNCH, "_FILTER") <= names(LAUNCH, "ARGUMENTS")
 
 
 def test_the_view_shows_what_is_published() -> None:

@@ -16,6 +16,8 @@ ARGUMENTS = {
     "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "mover_speed": ("0.0", "largest speed of people and other robots around [m/s]"),
     "use_map": ("false", "whether the topic map tells what never moves"),
+    "min_echo_share": ("0.3", "share of beams with an echo below which the robot stands; 0.0 in the open"),
+    "largest_gap": ("2.1", "widest angle without echoes ahead in which the robot drives; 6.3 in the open [rad]"),
     "pose": ("tf", "where the pose on the map comes from: tf, amcl_pose or odometry"),
     "stamped": ("true", "velocities are TwistStamped (Jazzy), else Twist (Humble)"),
     "largest_speed": ("", "speed above which the watchdog refuses a command [m/s]; empty for the robot's"),
@@ -49,6 +51,8 @@ def generate_launch_description() -> LaunchDescription:
                         "robot": ParameterValue(given["robot"], value_type=str),
                         "mover_speed": ParameterValue(given["mover_speed"], value_type=float),
                         "use_map": ParameterValue(given["use_map"], value_type=bool),
+                        "min_echo_share": ParameterValue(given["min_echo_share"], value_type=float),
+                        "largest_gap": ParameterValue(given["largest_gap"], value_type=float),
                         "pose": ParameterValue(given["pose"], value_type=str),
                         **both,
                     }
