@@ -16,6 +16,7 @@ from ctrl_rl_core import write_results
 from koopman_lqr_controller.cli.run_options import LearningOptions, as_command, given_words
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS, find_task, task_of_manifest
+from koopman_lqr_controller.training.environments.environment_tasks import name_environment
 from koopman_lqr_controller.training.experiments.methods import LEARNERS
 from koopman_lqr_controller.training.settings import RECIPES
 
@@ -29,7 +30,9 @@ _EPILOG = (
     )
     + "\n\nThe same command goes on where an earlier one was cut off. Each run leaves policy.safetensors (as learnt)\n"
     "and consolidated.safetensors (the LQR of its own model, to be deployed) in a folder of its own.\n\n"
-    "example:\n  train --task cartpole_swingup --seeds 5 --set latent=30"
+    "examples:\n  train --task cartpole_swingup --seeds 5 --set latent=30\n"
+    "  train --env Pendulum-v1 --recipe model_based --samples 20000\n"
+    "  train --env walker_walk --recipe model_based --keep last"
 )
 if TYPE_CHECKING:
     _AtLeast5: TypeAlias = int
@@ -41,8 +44,14 @@ else:
 class Train(LearningOptions):
     """Learn a latent linear model and its LQR from interaction (thesis Algorithm 2), then consolidate it."""
 
-    task: str
+    task: str = ""
     """Task to learn: one of those below, or a .yaml file with a corridor."""
+    env: str = ""
+    """Environment to learn in place of a task: one of Gymnasium's with continuous actions ("Pendulum-v1",
+    "my_package:Mine-v0"), FILE.py:NAME of a class or function that makes one, or a task of the DeepMind control suite
+    ("walker_walk")."""
+    repeat: NotNegative = 0
+    """Steps of the environment per action; 0 for two in the control suite, otherwise one."""
     seeds: Positive = 1
     """Number of seeds, counted from --first-seed."""
     first_seed: NotNegative = 0
@@ -82,7 +91,7 @@ class Consolidate:
 
 
 def _learn(options: Train) -> int:
-    problem = find_task(options.task)
+    problem = find_task(_task_name(options))
     changes = tuple(sorted({**RECIPES[options.recipe], **dict(options.changes())}.items()))
     problem = problem.with_settings(**dict(changes))  # validate before importing torch, which takes seconds
     from ctrl_rl_learning.study import result_file, run_experiments
@@ -97,7 +106,7 @@ def _learn(options: Train) -> int:
     runs = options.learning_runs(
         problem.name, changes, words, options.consolidation, options.learner, options.keep, options.first_seed
     )
-    title = Path(problem.name).stem
+    title = problem.title
     results = run_experiments(runs, options.run_options(problem), options.workers, title, options.ray)
     rows, figures = collect(problem, results)
     for row in rows:
@@ -117,6 +126,19 @@ def _learn(options: Train) -> int:
             write_results(options.results, f"koopman_{title}", seeds, rows, figures)
         print(f"results    {options.results}")
     return 0
+
+
+def _task_name(options: Train) -> str:
+    """Return the name of the task or environment.
+
+    Raises:
+        KoopmanError: Neither or both are given, or a repeat without an environment.
+    """
+    if bool(options.task) == bool(options.env):
+        raise KoopmanError("give either --task or --env: what to learn")
+    if options.repeat and not options.env:
+        raise KoopmanError("--repeat goes with --env: a task has its own")
+    return name_environment(options.env, options.repeat) if options.env else options.task
 
 
 def _consolidate(options: Consolidate) -> int:

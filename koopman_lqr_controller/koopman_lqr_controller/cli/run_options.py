@@ -15,7 +15,7 @@ from ctrl_rl_core.old_names import note_old_name
 from ctrl_rl_learning.study import ExperimentOptions, NotNegative, Positive, RunOptions
 
 from koopman_lqr_controller.errors import KoopmanError
-from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
+from koopman_lqr_controller.training.environments.task import BenchmarkTask
 from koopman_lqr_controller.training.experiments.methods import Changes
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from koopman_lqr_controller.training.agents.agent import Agent
 from koopman_lqr_controller.training.agents.model_based_agent import ModelBasedAgent
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.agents.soft_agent import SoftAgent
-from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
+from koopman_lqr_controller.training.environments.task import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Mirror, Replay
 
 _UPDATES = "updates"

@@ -12,7 +12,7 @@ from torch import nn
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.models.encoder import Encoder
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
-from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
+from koopman_lqr_controller.training.environments.task import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.networks.networks import deploy_layers
 
 _SAMPLES = "samples"

@@ -22,7 +22,7 @@ from koopman_lqr_controller.models.edmd import Snapshots, fit
 from koopman_lqr_controller.models.encoder import Encoder
 from koopman_lqr_controller.training.agents.actor import AgentInterface
 from koopman_lqr_controller.training.agents.learner import ReplayLearner
-from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
+from koopman_lqr_controller.training.environments.task import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.networks.differentiable_lqr import LatentLqr
 from koopman_lqr_controller.training.replay import Replay, Transitions
 from koopman_lqr_controller.training.settings import Settings

@@ -233,7 +233,8 @@ def _names(policy: KoopmanPolicy, world: Any, count: int) -> Sequence[str]:
         return policy.observables.names
     if policy.robot_interface is not None:
         return policy.robot_interface.observation.names
-    return world.names if isinstance(world, ControlSuite) else [f"x {index}" for index in range(count)]
+    names: Sequence[str] = getattr(world, "names", ())
+    return names or [f"x {index}" for index in range(count)]
 
 
 def _tsne(loop: ClosedLoopModel, data: Sequence[EpisodeTrajectory]) -> dict[str, Any]:

@@ -16,8 +16,9 @@ from koopman_lqr_controller.policies.edmd_policy import EdmdPolicy
 from koopman_lqr_controller.policies.koopman_policy import ClosedLoopModel
 from koopman_lqr_controller.policies.latent_policy import RobotInterface
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy
-from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, task_of_manifest
+from koopman_lqr_controller.training.environments.benchmark_tasks import task_of_manifest
 from koopman_lqr_controller.training.environments.corridor import Conditions, Corridor, Vector
+from koopman_lqr_controller.training.environments.task import AnyEnvironment
 
 _CORRIDOR = "curved_corridor"
 

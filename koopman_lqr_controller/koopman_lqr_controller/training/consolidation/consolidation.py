@@ -35,7 +35,7 @@ from koopman_lqr_controller.safety.guards import LatentDistribution
 from koopman_lqr_controller.training.consolidation.candidate_search import Candidate, CandidateSearch, check_regulator
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
 from koopman_lqr_controller.training.consolidation.distillation import DistilledPolicy
-from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
+from koopman_lqr_controller.training.environments.task import BenchmarkTask
 
 
 @dataclass(frozen=True)

@@ -132,6 +132,11 @@ class ControlSuite(gymnasium.Env[Observation, NDArray[np.float32]]):
         return grey
 
 
+def suite_tasks() -> tuple[tuple[str, str], ...]:
+    """Return domain and task of all tasks of the suite."""
+    return tuple(_load_suite(False).ALL_TASKS)
+
+
 def _load_suite(pictures: bool) -> Any:
     """Import the suite for headless use, unless MUJOCO_GL is set."""
     if "mujoco" not in sys.modules:

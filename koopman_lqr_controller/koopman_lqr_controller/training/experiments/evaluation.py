@@ -37,4 +37,4 @@ def evaluate_in_episodes(policy: Path, task: str | None, episodes: int, seed: in
     ends = [episode.info.get("outcome") for episode in played]
     succeeded = None if None in ends else [end == Outcome.GOAL.name for end in ends]
     options = EvaluateOptions(policy=policy, task=task, episodes=episodes, seed=seed, results=results)
-    return report(options, Path(problem.name).stem, succeeded, [episode.total for episode in played])
+    return report(options, problem.title, succeeded, [episode.total for episode in played])

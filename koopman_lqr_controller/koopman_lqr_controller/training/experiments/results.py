@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 from operator import getitem
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ctrl_rl_core.io import digest
 from ctrl_rl_learning.study import Metric, collect_rows, metric
 
 from ctrl_rl_core import Result
-from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask
+from koopman_lqr_controller.training.environments.task import BenchmarkTask
 from koopman_lqr_controller.training.experiments.comparisons import COMPARISONS, LEVELS, REFERENCE
 from koopman_lqr_controller.training.experiments.last_curves import shown_return
 from koopman_lqr_controller.training.experiments.methods import METHODS
@@ -113,7 +112,7 @@ def collect_last(problem: BenchmarkTask, results: Results) -> list[Result]:
     used by consolidation are counted separately. Rows name their seeds and terms, so that a results file can merge them
     with those of seeds trained elsewhere.
     """
-    last, title = results[0]["curve"][-1]["steps"], Path(problem.name).stem
+    last, title = results[0]["curve"][-1]["steps"], problem.title
     passed = [(number, at["steps"]) for number, at in enumerate(results[0]["curve"]) if at["steps"] in FRAMES]
     then = [metric(_at_frames(frames), "1", _shown_after(number)) for number, frames in passed if frames != last]
     returned = metric(_at_frames(last), "1", _mean_return)

@@ -20,7 +20,8 @@ from koopman_lqr_controller.policies.policy_file import digest
 from koopman_lqr_controller.training.agents.learner import KoopmanLearner
 from koopman_lqr_controller.training.agents.two_stage_learner import TwoStageLearner
 from koopman_lqr_controller.training.consolidation.consolidation_config import ConsolidationConfig
-from koopman_lqr_controller.training.environments.benchmark_tasks import BenchmarkTask, find_task
+from koopman_lqr_controller.training.environments.benchmark_tasks import find_task
+from koopman_lqr_controller.training.environments.task import BenchmarkTask, title_of
 from koopman_lqr_controller.training.experiments.trainer import Keep, KoopmanTrainer, Learner
 
 
@@ -32,7 +33,7 @@ class LearningRun(Run):
     `KoopmanTrainer` for the content of result and curve.
 
     Attributes:
-        problem_name: One of `BENCHMARK_TASKS`, or the .yaml file of a task with a corridor.
+        problem_name: Name of a task for `find_task`.
         seed: Random seed.
         changes: Changes to the problem's `Settings`, by name.
         device: Device of the networks: "cpu", with exactly reproducible runs, or "cuda".
@@ -57,7 +58,7 @@ class LearningRun(Run):
         learner = "" if self.learner == "koopman" else f"-{self.learner}"
         changes = "".join(f"-{name}_{value}" for name, value in self.changes)
         kept = "-last" if self.keep == "last" else ""
-        return f"{Path(self.problem_name).stem}{learner}{changes}{kept}-s{self.seed}"
+        return f"{title_of(self.problem_name)}{learner}{changes}{kept}-s{self.seed}"
 
     @property
     def problem(self) -> BenchmarkTask:

@@ -22,7 +22,7 @@ from koopman_lqr_controller.safety.guards import LatentDistribution, fit_distrib
 from koopman_lqr_controller.training.agents.network_policy import NetworkPolicy
 from koopman_lqr_controller.training.consolidation.consolidation import consolidate_policy, load_latent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED, ConsolidationConfig
-from koopman_lqr_controller.training.environments.benchmark_tasks import AnyEnvironment, BenchmarkTask
+from koopman_lqr_controller.training.environments.task import AnyEnvironment, BenchmarkTask
 from koopman_lqr_controller.training.replay import Replay
 
 Keep = Literal["best", "last"]
