@@ -18,7 +18,14 @@ from ctrl_rl_core.tasks.task import NavigationTask
 
 Array = NDArray[np.float64]
 _WALL: dict[str, Any] = {"color": WALL, "linewidth": 0, "zorder": 3, "gid": SOLID}
-_GOAL: dict[str, Any] = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 1.6, "hatch": "//", "zorder": 4}
+_GOAL: dict[str, Any] = {
+    "facecolor": "none",
+    "edgecolor": GOAL,
+    "linewidth": 1.6,
+    "hatch": "//",
+    "zorder": 4,
+    "gid": SOLID,
+}
 _SEEN = {"xy": "seen from above", "xz": "seen from the side"}
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 _MOST_CONTOURS = 14

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,12 +16,14 @@ from ctrl_rl_core.plots.roles import SMALL
 
 _NAME, _WORD, SOLID = "name of a line", "word beside a place", "wall or obstacle"
 _GAP = 2.0
-_ON_WALL, _FAR = 0.1, 0.01
+_ON_WALL, _FAR = 0.2, 0.01
 """Cost of text on a wall, and of each point of distance from its position, in covered line points."""
 _CLOSE = 4.0
 """Spacing of the points that represent a line [pixels]."""
 _REACH = (7.0, 12.0, 18.0, 28.0, 42.0, 60.0)
 _DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
+_ASIDE = (0.0, 0.25, -0.25)
+"""Shifts of a word above or below its position, in word widths: a narrow passage has room for one of them."""
 _SIDES: dict[int, Literal["left", "right", "center"]] = {1: "left", -1: "right", 0: "center"}
 _HEIGHTS: dict[int, Literal["bottom", "top", "center"]] = {1: "bottom", -1: "top", 0: "center"}
 
@@ -104,24 +107,41 @@ def place_words(axes: Axes) -> None:
     walls = [patch.get_window_extent() for patch in axes.patches if patch.get_gid() == SOLID]
     there: list[Bbox] = [text.get_window_extent() for text in axes.texts if text not in words]
     for word in words:
-        best, least = None, np.inf
-        for reach in _REACH:
-            for across, up in _DIRECTIONS:
-                word.xyann = (across * reach, up * reach)
-                word.set_horizontalalignment(_SIDES[across])
-                word.set_verticalalignment(_HEIGHTS[up])
-                box = word.get_window_extent().padded(2.0)
-                covered = covers(box, points) + 50.0 * sum(box.overlaps(other) for other in there)
-                covered += _ON_WALL * min(sum(box.overlaps(wall) for wall in walls), 5) + _FAR * reach
-                covered += 0.0 if _within(box, axes.bbox) else 1000.0
-                if covered < least:
-                    best, least = (reach, across, up), covered
-        assert best is not None
-        reach, across, up = best
-        word.xyann = (across * reach, up * reach)
-        word.set_horizontalalignment(_SIDES[across])
-        word.set_verticalalignment(_HEIGHTS[up])
+        wide = word.get_window_extent().width * 72.0 / axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+        best, least = _Spot(0.0, 0, 1), np.inf
+        for spot in _spots(wide):
+            spot.put(word)
+            box = word.get_window_extent().padded(2.0)
+            covered = covers(box, points) + 50.0 * sum(box.overlaps(other) for other in there)
+            covered += _ON_WALL * any(box.overlaps(wall) for wall in walls) + _FAR * spot.reach
+            covered += 0.0 if _within(box, axes.bbox) else 1000.0
+            if covered < least:
+                best, least = spot, covered
+        best.put(word)
         there.append(word.get_window_extent())
+
+
+class _Spot(NamedTuple):
+    """Where a word may stand: a distance [points] in a direction, and a shift aside [points]."""
+
+    reach: float
+    across: int
+    up: int
+    aside: float = 0.0
+
+    def put(self, word: Annotation) -> None:
+        """Move a word there."""
+        word.xyann = (self.across * self.reach + self.aside, self.up * self.reach)
+        word.set_horizontalalignment(_SIDES[self.across])
+        word.set_verticalalignment(_HEIGHTS[self.up])
+
+
+def _spots(wide: float) -> Iterator[_Spot]:
+    """Yield the places to try for a word of some width [points]."""
+    for reach in _REACH:
+        for across, up in _DIRECTIONS:
+            for aside in _ASIDE if across == 0 else (0.0,):
+                yield _Spot(reach, across, up, aside * wide)
 
 
 def covers(box: Bbox, points: NDArray[np.float64]) -> int:

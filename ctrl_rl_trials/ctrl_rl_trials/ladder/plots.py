@@ -59,6 +59,8 @@ def _words(task: str) -> str:
 
 
 _COLUMNS, _MOST = 3, 6
+_WALLS = 0.8
+"""Room for the walls around a world, both sides together [m]."""
 
 
 def draw_pages(tasks: Sequence[NavigationTask], path: Path) -> Iterator[Path]:
@@ -71,15 +73,22 @@ def draw_pages(tasks: Sequence[NavigationTask], path: Path) -> Iterator[Path]:
 
 def _draw_page(shown: Sequence[NavigationTask], path: Path) -> None:
     rows = -(-len(shown) // _COLUMNS)
-    sizes = np.max([[side.length for side in task.plane_bounds.values()] for task in shown], axis=0)
-    with picture(path, "", rows, _COLUMNS, height=0.2 + 1.75 * rows) as (_, axes):
+    lengths = [(task.plane, [side.length + _WALLS for side in task.plane_bounds.values()]) for task in shown]
+    with picture(path, "", rows, _COLUMNS, height=0.2 + 1.6 * rows, sharey="row") as (_, axes):
         for ax in axes.flat[len(shown) :]:
             ax.set_axis_off()
-        for ax, task in zip(axes.flat, shown, strict=False):
+        for number, (ax, task) in enumerate(zip(axes.flat, shown, strict=False)):
             draw_map(ax, task)
             middle = [side.centre for side in task.plane_bounds.values()]
-            ax.set_xlim(middle[0] - 0.5 * sizes[0], middle[0] + 0.5 * sizes[0])  # same scale in all panels
+            sizes = np.max([each for plane, each in lengths if plane == task.plane], axis=0)
+            ax.set_xlim(middle[0] - 0.5 * sizes[0], middle[0] + 0.5 * sizes[0])  # the same scale in all that look alike
             ax.set_ylim(middle[1] - 0.5 * sizes[1], middle[1] + 0.5 * sizes[1])
+            below = shown[number + _COLUMNS : number + _COLUMNS + 1]
+            if any(other.plane == task.plane for other in below):
+                ax.set_xlabel("")
+                ax.tick_params(labelbottom=False)
+            if number % _COLUMNS:
+                ax.set_ylabel("")
             ax.set_title(task.name.replace("_", " "))
             names = ("x", task.plane[1])
             place = tuple(task.start.intervals[name].centre for name in names)
