@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -14,15 +13,17 @@ from nav_msgs.msg import OccupancyGrid, Path
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from ctrl_rl_core import PoseError, read_goal
+from ctrl_rl_core import OccupancyMap, PoseError, read_goal
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_navigation.driving.decision import Decision, Goal
 from ctrl_rl_navigation.driving.navigator import Navigator
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_value import MapValue
 
-_PATH_STEP = 5
-"""Stride of the path positions in a path message."""
+_PATH_STEP, _PATH_POSES = 5, 200
+"""Minimum stride of the path positions in a path message, and maximum number of its poses."""
+_SLICE_CELLS = 1_000_000
+"""Maximum number of cells in a map of times."""
 
 
 def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goal:
@@ -59,7 +60,8 @@ def status_message(navigator: Navigator, decision: Decision, header: Header) -> 
 
 def path_message(path: NDArray[np.float64], header: Header) -> Path:
     """Convert a path (n, 2) [m] to a message; poses point along the path."""
-    places = np.concatenate((path[:-1:_PATH_STEP], path[-1:])) if len(path) else path
+    step = max(_PATH_STEP, math.ceil(len(path) / _PATH_POSES))
+    places = np.concatenate((path[:-1:step], path[-1:])) if len(path) else path
     steps = np.diff(places, axis=0)
     headings = np.arctan2(steps[:, 1], steps[:, 0]).tolist() if len(places) > 1 else []
     headings += headings[-1:] or [0.0]
@@ -72,11 +74,14 @@ def path_message(path: NDArray[np.float64], header: Header) -> Path:
 
 
 def slice_message(value: MapValue, stamp: Time, frame: str) -> OccupancyGrid:
-    """Convert a value to a map: 0 at the goal, 100 at the maximum time, -1 where unreachable."""
-    out: Any = value.map.to_message(stamp, frame)
-    del out.data[:]
-    out.data.frombytes(as_percent(value.times).tobytes())
-    return out
+    """Convert a value to a map: 0 at the goal, 100 at the maximum time, -1 where unreachable.
+
+    Of a large map, only each second, third, ... row and column is shown: converting all would delay commands.
+    """
+    step = math.ceil(math.sqrt(value.times.size / _SLICE_CELLS))
+    first = step // 2
+    shown = as_percent(value.times[first::step, first::step])
+    return OccupancyMap(shown, step * value.map.resolution, value.map.origin).to_message(stamp, frame)
 
 
 def _pose(x: float, y: float, yaw: float) -> Pose:

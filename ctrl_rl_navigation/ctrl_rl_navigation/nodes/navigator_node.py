@@ -51,6 +51,8 @@ _GUARD_GAP = 0.005
 """Additional distance to obstacles of the look-ahead compared with the obstacle stop [m]."""
 _LAST_ZEROS = 10
 """Number of zero commands at the end of a drive, after which the topic is free for others."""
+_SCANS = 4
+"""Number of scans processed for each command; of more, as in a flood, only the last one before the command counts."""
 _FINE = (NavigatorState.DRIVING, NavigatorState.REACHED, NavigatorState.SOLVING)
 _STAND = np.zeros(2)
 _NOWHERE = Transform.planar(0.0, 0.0, 0.0)
@@ -100,7 +102,8 @@ class NavigatorNode(RobotNode):
         self._driver = NavigatorDriver(self._navigator, value["lidar_x"])
         self._odometry, self._sent = np.zeros(len(ODOMETRY_NAMES)), _STAND
         self._map: OccupancyMap | None = None
-        self._zeros = 0
+        self._zeros = self._processed = 0
+        self._waiting: tuple[LaserScan, NDArray[np.float32], ScanGeometry] | None = None
         self._shown: tuple[Any, Any] = (None, None)
         self._input = PoseInput(self, robot.timeout, robot.now)
         self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
@@ -122,7 +125,17 @@ class NavigatorNode(RobotNode):
         self._input.on_odometry(message, self.robot.frame)
 
     def _see(self, message: LaserScan, ranges: NDArray[np.float32], scan: ScanGeometry) -> None:
-        """Pass a scan to the driver, with the pose at its time."""
+        """Take a scan in: at once, unless there are many."""
+        self._waiting = (message, ranges, scan)
+        if self._processed < _SCANS:
+            self._process()
+
+    def _process(self) -> None:
+        """Pass the last scan to the driver, with the pose at its time."""
+        if self._waiting is None:
+            return
+        (message, ranges, scan), self._waiting = self._waiting, None
+        self._processed += 1
         track, pose = self._input.track, None
         try:
             there = track.at(nanoseconds(message.header.stamp))
@@ -204,6 +217,8 @@ class NavigatorNode(RobotNode):
     def _tick(self) -> None:
         """Decide, send the command, and report changes."""
         before = self._driver.decision
+        self._process()
+        self._processed = 0
         self._drive()
         decision = self._driver.decision
         if (before.state, _words(before.message)) != (decision.state, _words(decision.message)):
