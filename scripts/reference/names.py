@@ -1,4 +1,4 @@
-"""The page of names: what each package and each of its rooms offers to Python, read from the stubs that export it."""
+"""The page of names: the public names of each package and subpackage, read from the stubs that export them."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from workspace import PACKAGES, ROOT
 
 _HEAD = """# Names of the packages
 
-What each package and each of its rooms (its folders) offers to Python; `dir()` lists the same. A name is imported
-when it is first used. [The front door](../api.md) has the few names that most programs need.
+This page lists the public names of each package and subpackage; `dir()` lists the same. A name is imported when it is
+first used. [The Python API](../api.md) has the few names that most programs need.
 """
 
 
 def names_page() -> str:
-    """Return the page: a table for each package and for each room that has a face."""
+    """Return the page, with a table for each package and each subpackage that exports names."""
     return "\n".join([_HEAD, *(_section(face) for package in PACKAGES for face in faces(package))])
 
 
 def faces(package: str) -> list[str]:
-    """Return the package and those of its rooms that export names, each with dots."""
+    """Return the dotted names of a package and of its subpackages that export names."""
     stubs = sorted((ROOT / package / package).rglob("__init__.pyi"))
     return [".".join(stub.relative_to(ROOT).parts[1:-1]) for stub in stubs]
 
 
 def names_of(face: str) -> dict[str, str]:
-    """Return the names that a face exports, each with what it is in one line."""
+    """Return the names that a package exports, each with a description in one line."""
     return {name: _about(face, name) for name in sorted(_imports(face))}
 
 
@@ -35,11 +35,11 @@ def _section(face: str) -> str:
     rows = [f"| `{name}` | {about} |".replace("  |", " |") for name, about in names_of(face).items()]
     about = ast.get_docstring(_tree(_file(face).with_suffix(".py"))) or ""
     level = "#" * (2 + (1 if "." in face else 0))
-    return "\n".join([f"{level} {face}\n", f"{about}\n", "| name | what it is |", "|---|---|", *rows, ""])
+    return "\n".join([f"{level} {face}\n", f"{about}\n", "| name | description |", "|---|---|", *rows, ""])
 
 
 def _imports(module: str) -> dict[str, tuple[str, str]]:
-    """Return the names that a module or a face imports from the workspace, each with module and name of its source."""
+    """Return the names that a module imports from the workspace, each with its source module and name."""
     found = {}
     for node in _tree(_file(module)).body:
         if isinstance(node, ast.ImportFrom) and node.module:
@@ -49,7 +49,7 @@ def _imports(module: str) -> dict[str, tuple[str, str]]:
 
 
 def _about(module: str, name: str) -> str:
-    """Return the first line that a class, a function or a constant says of itself; empty where there is none."""
+    """Return the docstring's first line of a class, function or constant; empty if there is none."""
     body = _tree(_file(module)).body
     for node, after in zip(body, [*body[1:], None], strict=True):
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name and ast.get_docstring(node):
@@ -66,7 +66,7 @@ def _assigned(node: ast.stmt) -> set[str]:
 
 
 def _file(module: str) -> Path:
-    """Return the file of a module; of a package its stub, or else its own file."""
+    """Return the file of a module; for a package its stub, or else its `__init__.py`."""
     place = ROOT / module.split(".")[0] / Path(*module.split("."))
     files = (place / "__init__.pyi", place / "__init__.py", place.with_suffix(".py"))
     return next(file for file in files if file.exists())

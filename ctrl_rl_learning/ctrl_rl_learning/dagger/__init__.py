@@ -1,4 +1,4 @@
-"""A student learns by lidar what an expert does who knows the map."""
+"""DAgger: a student that sees only its lidar learns from an expert that knows the map."""
 
 import lazy_loader as lazy
 
