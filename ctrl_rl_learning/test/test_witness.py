@@ -156,6 +156,19 @@ def test_an_offset_of_the_poses_is_no_moved_wall(
     assert walls_of(both)
 
 
+def test_odometry_that_began_elsewhere_is_found_in_the_files_frame(
+    true: tuple[NavigationTask, DriveRecord],
+) -> None:
+    task, seen = true
+    wrong = Offset((1.4, -0.9), math.radians(70.0), (0.0, 0.0))
+    drifting = mistaken(seen, 0.03, 0.0, keeps=0.99)
+    account = examine(replace(drifting, sightings=tuple(wrong.moved(each) for each in drifting.sightings)), task)
+    assert account.offset is not None
+    assert account.offset.turn == pytest.approx(math.radians(-70.0), abs=math.radians(1.0))
+    assert account.moved_walls == []
+    assert "not in the frame" in account.refusal
+
+
 def test_a_drift_of_the_poses_is_no_moved_wall(true: tuple[NavigationTask, DriveRecord]) -> None:
     task, seen = true
     account = examine(mistaken(seen, 0.3, 0.0, keeps=0.99), task)

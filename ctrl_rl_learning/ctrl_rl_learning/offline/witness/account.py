@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import NavigationTask, World
 from ctrl_rl_learning.offline.witness.beams import LONGER, SHORTER, Beams, FileWalls, compare
 from ctrl_rl_learning.offline.witness.episode_worlds import EpisodeWalls, beside_own_walls
+from ctrl_rl_learning.offline.witness.frame_search import find_offset
 from ctrl_rl_learning.offline.witness.limits import (
     commands_beyond,
     faster_than_robot,
@@ -82,8 +83,8 @@ class Account:
         if self.offset is not None:
             out.append(f"the poses lie off the file's frame: moving them by {self.offset} explains most differences")
         if self.drift:
-            left = ": walls are not compared" if self.drift >= _REFUSED_DRIFT else ""
-            out.append(f"the poses drift by {self.drift:.2f} m within episodes, which explains most differences{left}")
+            left = "walls are not compared" if self.drift >= _REFUSED_DRIFT else "too little to matter"
+            out.append(f"the poses drift by {self.drift:.2f} m within episodes, as odometry alone does: {left}")
         walls = [place for place in self.places if place.kind != "mover"]
         if walls and self.beams is not None:
             out.append(f"{self.differing:.1%} of {len(self.beams):,} beams differ from the walls of the task's file")
@@ -105,20 +106,20 @@ class Account:
     def refusal(self) -> str:
         """Why nothing may be learnt by value or judged by roll-outs, and what to do; empty where it may."""
         name = self.task.name
+        if self.offset is not None and (self.offset.size >= _REFUSED_SHIFT or abs(self.offset.turn) >= _REFUSED_TURN):
+            return (
+                f"the bags' poses are not in the frame of task '{name}': correct the localisation's start, or move the"
+                f" file's walls, start and goal by {self.offset.inverse()}; --method bc needs neither"
+            )
         if self.moved_walls:
             return (
                 f"the bags show other walls than the file of task '{name}': take them from the bags by --map-from-bag,"
                 " or fix the file"
             )
-        if self.offset is not None and (self.offset.size >= _REFUSED_SHIFT or abs(self.offset.turn) >= _REFUSED_TURN):
-            return (
-                f"the bags' poses are not in the frame of task '{name}': correct the localisation's start, or move the"
-                f" file's walls, start and goal by {self.offset.inverse()}"
-            )
         if self.drift >= _REFUSED_DRIFT and not {"odom_drift", "wheel_radius"} & set(self.task.randomisation):
             return (
-                f"the bags' poses drift by {self.drift:.2f} m from the frame of task '{name}': record the poses of a "
-                "localisation, not of odometry alone"
+                f"the bags' poses drift by {self.drift:.2f} m from the frame of task '{name}': learn by --method bc, "
+                "which needs no walls, or record the poses of a localisation, not of odometry alone"
             )
         if self.impossible:
             return (
@@ -180,18 +181,24 @@ def _at_better_poses(seen: Sequence[Sightings], task: NavigationTask) -> _Compar
     recorded, walls = _Compared(beams, beams.differing, None, 0.0, own.walls, worlds, own.seen), FileWalls(task, worlds)
     if beams.differing <= _WORTH_A_FIT:
         return recorded
-    found = fit_offset(own.seen, walls)
-    moved = beside_own_walls([found.moved(each) for each in own.seen], task, np.random.default_rng(0))
+    far_off = beams.differing >= _WORTH_A_DRIFT
+    found = find_offset(own.seen, walls) if far_off else fit_offset(own.seen, walls)
+    at_offset = [found.moved(each) for each in own.seen]
+    moved = beside_own_walls(at_offset, task, np.random.default_rng(0))
+    told = found if found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN else None
+    if moved.beams.differing <= _EXPLAINED * beams.differing and moved.beams.differing < _WORTH_A_DRIFT:
+        return recorded._replace(beams=moved.beams, offset=told, walls=moved.walls)
+    if not far_off:
+        return recorded
+    # Odometry drifts, from the file's frame or from one of its own.
+    for poses, offset in ((own.seen, None), (at_offset, told)):
+        freed = [without_drift(each, walls) for each in poses]
+        still, drift = compare([each for each, _ in freed], walls), max(size for _, size in freed)
+        if still.differing <= _EXPLAINED * beams.differing and drift >= _TOLD_SHIFT:
+            return recorded._replace(beams=still, offset=offset, drift=drift)
     if moved.beams.differing <= _EXPLAINED * beams.differing:
-        told = found.size >= _TOLD_SHIFT or abs(found.turn) >= _TOLD_TURN
-        return recorded._replace(beams=moved.beams, offset=found if told else None, walls=moved.walls)
-    if beams.differing < _WORTH_A_DRIFT:
-        return recorded
-    freed = [without_drift(each, walls) for each in own.seen]
-    still, drift = compare([each for each, _ in freed], walls), max(size for _, size in freed)
-    if still.differing > _EXPLAINED * beams.differing or drift < _TOLD_SHIFT:
-        return recorded
-    return recorded._replace(beams=still, drift=drift)
+        return recorded._replace(beams=moved.beams, offset=told, walls=moved.walls)
+    return recorded
 
 
 def _walls_of_episodes(walls: Mapping[int, EpisodeWalls], task: NavigationTask) -> Iterator[str]:
