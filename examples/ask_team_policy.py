@@ -1,4 +1,4 @@
-"""Ask the joint policy of a team by hand: first for all robots, then for one while the others run on.
+"""Query a team's joint policy directly: first for all robots, then for one robot while the others continue.
 
 python examples/ask_team_policy.py
 """
@@ -21,7 +21,7 @@ for _ in range(6):
     print(f"ready: {', '.join(decision.ready)}; running: {running or 'nobody'}; chosen: {chosen}")
     decision = environment.step(options)
     total += decision.reward
-    print(f"  {decision.duration} low-level steps later somebody is ready; reward {decision.reward:.2f}")
+    print(f"  {decision.duration} low-level steps later a robot is ready; reward {decision.reward:.2f}")
     if decision.over:
         break
 print(f"sum of rewards {total:.2f}")

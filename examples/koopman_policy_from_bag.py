@@ -1,8 +1,8 @@
-"""Learn a linear model and its LQR from a recorded drive, look at both, and save them as a policy.
+"""Learn a linear model and its LQR from a recorded drive, inspect both, and save them as a policy.
 
 python examples/koopman_policy_from_bag.py BAG [POLICY]
 
-Drive by it: ros2 run ctrl_rl_bringup demo --policy POLICY
+Drive with it: ros2 run ctrl_rl_bringup demo --policy POLICY
 """
 
 import sys

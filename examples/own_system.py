@@ -1,4 +1,4 @@
-"""Write a system of one's own, solve its time to reach, and compare with the known solution.
+"""Define your own system, solve its time to reach, and compare it with the known solution.
 
 The system is a cart that accelerates and brakes. From rest at distance d it needs 2 sqrt(d) to rest at the origin.
 

@@ -1,4 +1,4 @@
-"""Step a simulated car that is paid for each second that the goal comes nearer than ever before.
+"""Step a simulated car with a reward for each second by which it beats its best time to go so far.
 
 python examples/reward_in_gymnasium.py
 """

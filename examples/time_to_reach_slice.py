@@ -1,4 +1,4 @@
-"""Solve the time to reach of a task, ask it for a few states, and draw a slice of it.
+"""Solve the time to reach of a task, evaluate it at a few states, and draw a slice of it.
 
 python examples/time_to_reach_slice.py [PICTURE]
 """

@@ -1,4 +1,4 @@
-"""A tricycle that steers by turning its front wheel at a limited rate: a system model of one's own."""
+"""A user-defined system model: a tricycle that turns its front wheel at a limited rate."""
 
 from ctrl_rl_core.systems import Parameter
 
@@ -6,7 +6,7 @@ from ctrl_rl_core import Quantity, SystemModel
 
 
 def equations(math, p):
-    """State x, y, theta and the steering angle delta; controls are the speed and the rate of delta."""
+    """Dynamics with states x, y, theta and steering angle delta, and controls speed and rate of delta."""
     cos, sin, tan = math.cos, math.sin, math.tan
     wheelbase = p["L"]
 
