@@ -73,7 +73,7 @@ PAGES = {
         "mkdir -p runs/drives runs/hall && cp -r runs/first/car_navigation-value_model-s0/round_0/bag runs/drives/bag\n"
         "sed 's/^name: .*/name: hall/' "
         '"$(python -c \'from ctrl_rl_core import task_file; print(task_file("car_navigation"))\')" > hall.yaml\n'
-        f"{_LOOP} --tasks hall.yaml --episodes 30 --seeds 1 --rounds 1 --tests 1 --updates 1\n"
+        f"{_LOOP} --tasks hall.yaml --seeds 1 --rounds 1 --tests 1 --updates 1\n"
         "cp -r runs/first/hall-value_model-s0/round_0/bag runs/hall/bag\n" + _robot("car_navigation"),
     ),
     "docs/howto/many_machines.md": Page(
