@@ -160,7 +160,7 @@ def test_what_a_robot_has_shown_is_relied_on() -> None:
 def test_a_robot_that_does_not_stop_stands() -> None:
     stated = ROBOTS["jackal"]
     drive = Drive(stated, replace(stated, braking=0.05 * stated.braking))
-    monitor = drive.go(lambda time: (1.0 if time < 2.0 else 0.0, 0.0), 3.5)
+    monitor = drive.go(lambda time: (1.0 if time < 2.0 else 0.0, 0.0), 4.0)
     assert "than any bound allows" in monitor.problem
     drive.truth = stated
     assert drive.go(lambda _: (0.0, 0.0), 5.0).problem

@@ -188,7 +188,7 @@ def test_a_robot_that_answers_later_than_its_model_says_is_driven_with_that_dela
     room.until_told(SafetyStatus.PASSED)
     room.raw = (0.0, 0.5)
     told = room.until_told(SafetyStatus.PASSED, "delay")
-    assert "the robot is worse than its model: delay" in told.why
+    assert "the robot is not as its model says: delay" in told.why
     room.late = 0.0
     assert node.stop(signal.SIGTERM)[0] == 0
     assert "Traceback" not in node.output

@@ -21,8 +21,6 @@ WALKING = 1.0
 WORSE = Fault("20 % less braking, 0.15 s more delay", braking=0.8, delay=0.15)
 FAULTS = (
     Fault("as its model says"),
-    Fault("20 % less braking", braking=0.8),
-    Fault("0.15 s more delay", delay=0.15),
     WORSE,
     Fault("20 % less braking, 0.15 s more delay after 5 s", braking=0.8, delay=0.15, begins=5.0),
     Fault("40 % less braking, 0.3 s more delay", braking=0.6, delay=0.3),

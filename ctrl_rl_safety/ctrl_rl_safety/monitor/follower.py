@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -32,6 +33,8 @@ LARGEST_GAIN = 0.3
 """Fraction by which a speed may exceed its command at most."""
 UNKNOWN = 1e3
 """Size of a command that nobody knows [unit]."""
+_BORNE = 0.5
+"""Time for which a speed may exceed every command by more than is borne [s]."""
 _STAYS = 1.0
 """Time for which a growth of bounds must have explained the motion to outlast what nothing explains [s]."""
 
@@ -46,11 +49,14 @@ class Follower:
         stated: Number of those intervals that the model allows.
         sheds: Edges of the intervals of the shedding rate, from the highest one down (j + 1,) [unit/s].
         error: Error of a measurement near zero [unit].
+        slack: Excess over every command that is borne [unit].
         tied: Whether both rates are one, so that each building interval goes with the shedding interval of its index.
 
     Attributes:
         grown: Indices of the bounds that cover what was seen.
-        gain: Fraction by which the speed has exceeded its command.
+        gain: Fraction by which the speed has exceeded its commands.
+        excess: Amount by which it has exceeded them [unit].
+        delays: Whether each interval of the delay is open, by what was seen last.
         lost: Whether the speed returns to zero more slowly than any hypothesis says.
     """
 
@@ -62,6 +68,7 @@ class Follower:
         stated: int,
         sheds: Sequence[tuple[float, float]],
         error: float,
+        slack: float,
         tied: bool = False,
     ) -> None:
         shape = len(LATER), 1 if tied else len(builds), len(sheds)
@@ -73,9 +80,11 @@ class Follower:
         self._shape, self._error, self._tied = shape, error, tied
         self._longest = float(longest[-1]) + JITTER
         self._known = Grown(0, 0 if tied else stated - 1, 0)
-        self.grown, self.gain, self.lost = self._known, 0.0, False
+        self.grown, self.gain, self.excess, self.lost = self._known, 0.0, 0.0, False
+        self.delays, self._slack = np.ones(len(LATER), np.bool_), slack
         self._later, self._grown_at = np.array(LATER), 0.0
         self._worst = (at == shape[0] - 1) & (down == shape[2] - 1)
+        self._borne_at = math.inf
         self._low, self._high = np.zeros(at.size), np.zeros(at.size)
         self._gone, self._ahead = np.zeros(at.size, np.bool_), np.zeros(at.size, np.bool_)
 
@@ -86,6 +95,7 @@ class Follower:
     def begin(self, value: float) -> None:
         """Take a measurement for the present speed, whatever was before it."""
         error = self.error(value)
+        self._borne_at = math.inf
         self._low[:], self._high[:] = value - error, value + error
 
     def told(self, sent: Array, time: float) -> tuple[float, float]:
@@ -93,11 +103,16 @@ class Follower:
         least, most = command_range(sent, time - self._longest, time)
         return float(least), float(most)
 
+    def _most(self, sent: Array, time: float) -> float:
+        return max(abs(each) for each in self.told(sent, time))
+
     def open(self) -> Flags:
         """Return which hypotheses the motion has left open (delays, building rates, shedding rates)."""
         return ~(self._gone | self._ahead).reshape(self._shape)
 
-    def measure(self, sent: Array, begin: float, end: float, value: float, coupled: bool, delay: int) -> None:
+    def measure(
+        self, sent: Array, begin: float, end: float, value: float, coupled: bool, delay: int, possible: Flags
+    ) -> None:
         """Judge all hypotheses by a measurement.
 
         Args:
@@ -107,7 +122,12 @@ class Follower:
             value: Measured speed [unit].
             coupled: Whether another speed may have claimed the force meanwhile.
             delay: Interval of the delay that is known from another speed.
+            possible: Intervals of the delay that are possible by what is known from another speed (m,).
         """
+        told = self._most(sent, end)
+        if told >= UNKNOWN or abs(value) - self.error(value) - told <= max(LARGEST_GAIN * told, self._slack):
+            self._borne_at = end
+        self.lost |= end - self._borne_at >= _BORNE
         falling, rising = advance(self._those, self._low, self._high, sent, begin, end, self.gain, coupled, self._error)
         found = judge(self._low, self._high, falling, rising, self._gone, value, self.error(value))
         late = (found == SHEDS_LATE) | (found == BUILDS_LATE)
@@ -116,29 +136,47 @@ class Follower:
         before, known = self._ahead.copy(), self._known.beside(Grown(delay, 0, 0))
         self._gone |= late
         self._ahead |= found == LEADS
-        left = ~(self._gone | self._ahead)
+        left = self.open()
+        if not left.all():
+            self.delays = np.asarray(left.any(axis=(1, 2))) if left.any() else self.delays
+        left &= possible[:, None, None]
         if left.any():
             self._grow(self._explained(left, known), end)
             return
         if end - self._grown_at >= _STAYS:
             self._known = self.grown
         # Hypotheses that were too pessimistic before fit again if the robot has changed.
-        again = before & (found == FITS)
-        worst, told = found[self._worst], max(abs(each) for each in self.told(sent, end))
+        again = (before & (found == FITS)).reshape(self._shape) & possible[:, None, None]
         if again.any():
-            self._known = self._explained(again, known)
-        elif 0.0 < told < UNKNOWN and abs(value) - self.error(value) > (1.0 + self.gain) * told:
-            self.gain = (abs(value) - self.error(value)) / told - 1.0
-            self.lost |= self.gain > LARGEST_GAIN
-        elif told < UNKNOWN and (worst == SHEDS_LATE).any() and not ((worst == FITS) | (worst == LEADS)).any():
-            self.lost = True
+            self._known = self._explained(again, known.beside(self._known))
+            self.delays[:] = True
+        else:
+            self._exceed(sent, end, abs(value) - self.error(value), found[self._worst])
         self._grow(self._known, end)
         self._gone[:], self._ahead[:] = False, False
-        self.begin(value)
+        self._low[:], self._high[:] = value - self.error(value), value + self.error(value)
+
+    def _exceed(self, sent: Array, time: float, size: float, worst: NDArray[np.int8]) -> None:
+        """Judge a speed that no hypothesis explains.
+
+        Args:
+            sent: The commands.
+            time: Time of the measurement [s].
+            size: Size of the speed, less its error [unit].
+            worst: What the measurement says of the hypotheses of the longest delay and the weakest brakes.
+        """
+        told = self._most(sent, time)
+        if told >= UNKNOWN:
+            return
+        if size > told:
+            self.excess = max(self.excess, size - told)
+            self.gain = max(self.gain, min(size / told - 1.0, LARGEST_GAIN) if told > 0.0 else 0.0)
+        elif not self._tied and (worst == SHEDS_LATE).any() and not ((worst == FITS) | (worst == LEADS)).any():
+            self.lost = True
 
     def _explained(self, left: Flags, known: Grown) -> Grown:
         # A robot that is believed to turn less than it does takes another path, which is no safer.
-        return explained(left.reshape(self._shape), known, self._later, both=not self._tied)
+        return explained(left, known, self._later, both=not self._tied)
 
     def _grow(self, found: Grown, time: float) -> None:
         if found != self.grown:

@@ -29,6 +29,10 @@ _TURNS = (1e3, 0.9, 0.75, 0.6, 0.4, LEAST_TURNING)
 """The same of the turn acceleration."""
 _ERRORS = 0.02, 0.05
 """Errors of a measured speed [m/s] and turn rate [rad/s] near zero."""
+_SLACK = 0.1
+"""Fraction of its largest speed by which a robot may exceed every command, as on a slope."""
+_TURN_SLACK, _LEAST_TURN_SLACK = 0.2, 0.3
+"""The same of its turn rate, which shakes as wheels slip, and the least that is borne [rad/s]."""
 _UNSEEN_DELAY = 0.06
 """Delay beyond the stated one that a start does not reveal [s]."""
 _UNSEEN_BRAKING = 0.87
@@ -68,8 +72,9 @@ class ModelMonitor:
         builds = [(stated.acceleration * a, stated.acceleration * b) for a, b in intervals(_BUILDS)]
         sheds = [(stated.braking * a, stated.braking * b) for a, b in intervals(_SHEDS)]
         turns = [(stated.turn_acceleration * a, stated.turn_acceleration * b) for a, b in intervals(_TURNS)]
-        self._speed = Follower(stated.delay, stated.lag, builds, _STATED, sheds, _ERRORS[0])
-        self._turn = Follower(stated.delay, stated.lag, (), 0, turns, _ERRORS[1], tied=True)
+        self._speed = Follower(stated.delay, stated.lag, builds, _STATED, sheds, _ERRORS[0], _SLACK * stated.speed)
+        slack = max(_LEAST_TURN_SLACK, _TURN_SLACK * stated.turn_rate)
+        self._turn = Follower(stated.delay, stated.lag, (), 0, turns, _ERRORS[1], slack, tied=True)
         self._slip = Slip()
         self._sent: deque[tuple[float, float, float, float, float]] = deque((_ANY,))
         self._last: tuple[float, float, float] | None = None
@@ -116,9 +121,11 @@ class ModelMonitor:
             self._use()
             return
         changes = [self.stated.track > 0.0 and most - least > STANDS for least, most in told]
-        known = self._speed.grown.delay, self._turn.grown.delay
-        self._speed.measure(speeds, last[0], time, v, changes[1], known[1])
-        self._turn.measure(turns, last[0], time, omega, changes[0], known[0])
+        known, any_ = self._turn.grown.delay, np.ones(len(LATER), np.bool_)
+        self._speed.measure(speeds, last[0], time, v, changes[1], known, any_)
+        # Turn rates shake as wheels slip: what the speed has shown of the delay counts for more.
+        known, possible = self._speed.grown.delay, self._speed.delays
+        self._turn.measure(turns, last[0], time, omega, changes[0], known, possible)
         self._use()
 
     def _moved_by_others(self, told: tuple[tuple[float, float], ...], stands: bool) -> bool:
@@ -134,7 +141,7 @@ class ModelMonitor:
     def _use(self) -> None:
         """Take the bounds from what was seen."""
         speed, turn, stated = self._speed.grown, self._turn.grown, self.stated
-        excess = max(self._speed.gain, 0.0) * max(stated.speed, stated.reverse_speed)
+        excess = max(self._speed.gain * max(stated.speed, stated.reverse_speed), self._speed.excess)
         self.grown = Bounds(
             delay=LATER[max(speed.delay, turn.delay)],
             acceleration=max(_BUILDS[speed.build + 1], 1.0) if speed.build >= _STATED else 1.0,
@@ -160,7 +167,8 @@ class ModelMonitor:
         unproven = self.unproven
         if unproven == Bounds():
             return
-        speed, turn = self._speed.open(), self._turn.open()
+        # A later start with more acceleration than was ever seen is not reckoned with.
+        speed, turn = self._speed.open()[:, : self._speed.grown.build + 1], self._turn.open()
         later = np.asarray(speed.any(axis=(1, 2)) & turn.any(axis=(1, 2)))
         within = [_UNSEEN_DELAY + 1e-9 < each <= unproven.delay + 1e-9 for each in LATER]
         weaker = np.asarray(speed.any(axis=(0, 1)))

@@ -30,12 +30,12 @@ _FEWEST, _MOST_BEGIN, _MOST_END = 12, 240, 80
 """Fewest echoes of a scan, and the most that are used of the earlier and of the later one."""
 _BEFORE = 0.8
 """Weight of earlier comparisons beside a new one."""
-_PAIRS = 2.0
+_PAIRS = 1.75
 """Weight of comparisons at which an angle is believed."""
 _CLEARLY = 0.5
 """Disagreement at the angle relative to that at zero."""
-_NOISE = 0.02
-"""Mean disagreement that noise may cause [m]."""
+_WRONG, _RIGHT = 0.02, 0.015
+"""Mean disagreement from which on an angle is wrong, and up to which it is right, whatever moves [m]."""
 
 
 @cached_njit
@@ -126,9 +126,9 @@ class Mounting:
         found = _disagreements(before, linked, np.ascontiguousarray(after), motion, self._forward, _ANGLES)
         self._sums, self._weight = _BEFORE * self._sums + found, _BEFORE * self._weight + 1.0
         best = int(np.argmin(self._sums))
-        if self._weight < _PAIRS or best == 0 or self._sums[0] < _NOISE * self._weight:
+        if self._weight < _PAIRS or best == 0 or self._sums[0] < _WRONG * self._weight:
             return
-        if self._sums[best] < _CLEARLY * self._sums[0]:
+        if self._sums[best] < min(_CLEARLY * self._sums[0], _RIGHT * self._weight):
             self.yaw = float(_ANGLES[best])
             self.problem = (
                 f"the lidar is turned by about {math.degrees(self.yaw):.0f} degrees against the direction of travel: "

@@ -51,7 +51,7 @@ class RobotMonitor:
         grown = differences(self.motion.grown.of(self.motion.stated), self.motion.stated)
         if not grown:
             return ""
-        return "the robot is worse than its model: " + ", ".join(f"{name} {value}" for name, value in grown.items())
+        return "the robot is not as its model says: " + ", ".join(f"{name} {value}" for name, value in grown.items())
 
     def figures(self) -> dict[str, str]:
         """Return the bounds that have grown, and what is not relied on yet, for diagnostics."""
