@@ -64,6 +64,8 @@ from .processes.workers import WorkersError as WorkersError
 from .processes.workers import map_in_processes as map_in_processes
 from .robots.robot import Robot as Robot
 from .robots.robot import RobotError as RobotError
+from .robots.robot import Steering as Steering
+from .robots.robot import Wheels as Wheels
 from .robots.robot import find_robot as find_robot
 from .ros.node import COMMAND as COMMAND
 from .ros.node import RESULT as RESULT

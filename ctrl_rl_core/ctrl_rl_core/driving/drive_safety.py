@@ -1,8 +1,8 @@
 """Limits a command by the last scan: by its health, its gaps, and the obstacles in it. No ROS.
 
-A command (v, omega) sweeps the robot's disc along an arc: first the distance covered before anything can change, then
-the braking distance. If an echo lies within the swept disc plus its margin, and closer than it is now, the command is
-slowed down; if that does not help, only its rotation is kept.
+A command (v, omega) sweeps the robot's disc, or a car's rectangle, along an arc: first the distance covered before
+anything can change, then the braking distance. If an echo lies within the swept shape plus its margin, and closer than
+it is now, the command is slowed down; if that does not help, only its rotation is kept.
 """
 
 from __future__ import annotations
@@ -41,12 +41,15 @@ class ObstacleStop:
         margin: Additional distance to obstacles [m].
         deceleration: Braking deceleration [m/s^2].
         delay: Time from a command to its effect, plus the time until the next command [s].
+        rectangle: Distance from the centre to the rectangle's front and to its back, and half its width [m], for a
+            robot that turns only while it drives; None for the disc.
     """
 
     radius: float
     margin: float
     deceleration: float
     delay: float
+    rectangle: tuple[float, float, float] | None = None
 
     def reach(self, speed: float, age: float) -> float:
         """Return the stopping distance [m] at a speed [m/s], for a scan of the given age [s]."""
@@ -76,23 +79,34 @@ class ObstacleStop:
         where = "ahead" if wanted > 0.0 else "behind"
         return np.array((0.0, omega)), f"obstacle {distance:.2f} m {where}"
 
+    def _gap(self, x: Array, y: Array) -> Array:
+        """Return the distances from the robot's shape to points in its frame (...) [m]."""
+        if self.rectangle is None:
+            return np.asarray(np.hypot(x, y) - self.radius)
+        front, back, half = self.rectangle
+        beyond = np.maximum(np.maximum(x - front, -back - x), 0.0)
+        return np.asarray(np.hypot(beyond, np.maximum(np.abs(y) - half, 0.0)))
+
     def _hit(self, points: Array, room: float, curvature: float) -> float:
-        """Return the arc length [m] at which the disc meets an echo, up to a given length [m]; inf if there is none."""
-        wide = self.radius + self.margin
+        """Return the arc length [m] at which the robot meets an echo, up to a given one [m]; inf if there is none."""
         x, y = points[:, 0], points[:, 1]
-        now = x * x + y * y
-        close = np.flatnonzero(now < (abs(room) + wide) ** 2)
+        close = np.flatnonzero(x * x + y * y < (abs(room) + self.radius + self.margin) ** 2)
         if len(close) == 0:
             return math.inf
-        x, y, now = x[close], y[close], np.sqrt(now[close])
+        x, y = x[close], y[close]
+        now = self._gap(x, y)
         bend = abs(curvature)
         way = min(abs(room), math.tau / bend) if bend > 0.0 else abs(room)  # the motion repeats after a full turn
         count = math.ceil(way * max(1.0 / _STEP, bend / _TURN_STEP))
         s = np.linspace(0.0, math.copysign(way, room), count + 1)[1:]
         turn = 0.5 * s * curvature
         chord = s * np.sinc(turn / math.pi)
-        there = np.hypot(x[:, None] - chord * np.cos(turn), y[:, None] - chord * np.sin(turn))
-        hit = ((there < wide) & (there < now[:, None] - _NEARER)).any(axis=0)
+        ahead, aside = x[:, None] - chord * np.cos(turn), y[:, None] - chord * np.sin(turn)
+        if self.rectangle is not None:
+            cos, sin = np.cos(2.0 * turn), np.sin(2.0 * turn)
+            ahead, aside = cos * ahead + sin * aside, cos * aside - sin * ahead
+        there = self._gap(ahead, aside)
+        hit = ((there < self.margin) & (there < now[:, None] - _NEARER)).any(axis=0)
         return abs(float(s[hit.argmax()])) if hit.any() else math.inf
 
 

@@ -16,6 +16,7 @@ from sensor_msgs.msg import LaserScan
 from ctrl_rl_core.driving.command_output import CommandOutput
 from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, VelocityError
 from ctrl_rl_core.driving.drive_safety import DriveSafety, ObstacleStop
+from ctrl_rl_core.robots.robot import find_robot
 from ctrl_rl_core.ros.node import SENSOR, Status, SuiteNode, nanoseconds
 from ctrl_rl_core.ros.parameters import ROBOT, Parameter, robot_parameter
 from ctrl_rl_core.sensing.live_odometry import LiveOdometry
@@ -190,8 +191,13 @@ class LidarRobot(Commander):
         value = self.settings
         if "obstacle_margin" not in value:
             return ObstacleStop(0.0, 0.0, 1.0, 0.0)
+        robot = next(each.name for each in self.node.PARAMETERS if each.kind == "robot")  # "body" in a team
         return ObstacleStop(
-            value["robot_radius"], value["obstacle_margin"], value["deceleration"], value["reaction_time"]
+            value["robot_radius"],
+            value["obstacle_margin"],
+            value["deceleration"],
+            value["reaction_time"],
+            find_robot(value[robot]).rectangle,
         )
 
     def _reach(self, stop: ObstacleStop) -> float:

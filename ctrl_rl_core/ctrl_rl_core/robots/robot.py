@@ -20,7 +20,7 @@ import math
 import os
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 
@@ -36,9 +36,11 @@ GROUP = "ctrl_rl.robots"
 FOLDER = Path(__file__).parent
 DEFAULT_ROBOT = "turtlebot3_burger"
 """Default robot of nodes and commands."""
-COMMANDS = {"differential_drive": ("v", "omega"), "planar_quadrotor": ("T_1", "T_2")}
+COMMANDS = {"differential_drive": ("v", "omega"), "car": ("v", "omega"), "planar_quadrotor": ("T_1", "T_2")}
 """Names of a robot's two commands by kind of base, in message order."""
 _NEEDED = ("speed", "turn_rate", "acceleration", "braking", "turn_acceleration")
+_DERIVED = ("turn_rate", "turn_acceleration")
+"""Limits of a car that follow from its speed and steering."""
 _ROUNDING = 1e-3
 
 
@@ -83,6 +85,29 @@ class Wheels(Schema):
     limited: bool = True
 
 
+class Steering(Schema):
+    """Steered front wheels; the robot's centre is the middle of the rear axle, which does not slip sideways.
+
+    Attributes:
+        wheelbase: Distance from the rear axle to the front axle [m].
+        turning_radius: Radius of the tightest turn, of the middle of the rear axle [m].
+        rate: Maximum rate of the steering angle [rad/s].
+        lag: Time constant with which the steering angle follows its command [s].
+        centre: Position of the middle of the rectangle `length` x `width` ahead of the rear axle [m].
+    """
+
+    wheelbase: Radius
+    turning_radius: Annotated[float, Field(gt=0.0, le=50.0), _in("m")]
+    rate: Annotated[float, Field(gt=0.0, le=50.0), _in("rad/s")]
+    lag: Lag = 0.0
+    centre: Extent
+
+    @property
+    def angle(self) -> float:
+        """Maximum steering angle, of a wheel in the middle of the front axle [rad]."""
+        return math.atan2(self.wheelbase, self.turning_radius)
+
+
 class Planning(Schema):
     """Limits for planning, where lower than the robot's own; 0 to use the robot's own.
 
@@ -110,7 +135,7 @@ class Robot(Schema):
         kind: Kind of base, which determines the commands.
         radius: Radius of the disc around the robot's centre that encloses the robot [m].
         gap_radius: Radius of the disc that enters narrow gaps straight ahead [m]; 0 for `radius`.
-        length: Length of a rectangular robot that rotates about its centre [m]; 0 for a round one.
+        length: Length of a rectangular robot [m], which rotates about its centre unless it is a car; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
         speed: Maximum forward speed [m/s].
         reverse_speed: Maximum reverse speed [m/s].
@@ -127,6 +152,8 @@ class Robot(Schema):
         planning: Speeds and accelerations for planning, below the limits.
         mass: Mass of the whole robot [kg]; 0 if given by a URDF.
         wheels: Driven wheels; None for a robot that is never simulated.
+        steering: Steered front wheels of a car, which needs `length` and `width` too; its turn rate and turn
+            acceleration follow from speed and steering.
         base_height: Height of base_link above the floor [m].
         urdf: URDF file of the body, from the suite or beside this file; empty to build the body from these values.
         least_voltage: Minimum battery voltage [V]; 0 if unknown.
@@ -135,7 +162,7 @@ class Robot(Schema):
 
     name: str = Field(min_length=1, max_length=100)
     source: str = ""
-    kind: Literal["differential_drive", "planar_quadrotor"] = "differential_drive"
+    kind: Literal["differential_drive", "car", "planar_quadrotor"] = "differential_drive"
     radius: Radius
     gap_radius: Annotated[float, Field(ge=0.0, le=5.0), _in("m")] = 0.0
     length: Extent = 0.0
@@ -155,6 +182,7 @@ class Robot(Schema):
     planning: Planning = Planning()
     mass: Mass = 0.0
     wheels: Wheels | None = None
+    steering: Steering | None = None
     base_height: Extent = 0.0
     urdf: str = Field(default="", max_length=500)
     least_voltage: float = Field(default=0.0, ge=0.0, le=1000.0)
@@ -163,7 +191,8 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _whole(self) -> Robot:
-        if self.kind == "differential_drive":
+        self._take_steering()
+        if self.on_wheels:
             missing = [name for name in _NEEDED if getattr(self, name) <= 0.0]
             if missing:
                 raise ValueError(
@@ -171,7 +200,8 @@ class Robot(Schema):
                 )
         if (self.length > 0.0) != (self.width > 0.0):
             raise ValueError("a rectangle needs both length and width: leave both out for a round robot")
-        if math.hypot(0.5 * self.length, 0.5 * self.width) > self.radius + _ROUNDING:
+        ahead = 0.5 * self.length + (0.0 if self.steering is None else self.steering.centre)
+        if math.hypot(ahead, 0.5 * self.width) > self.radius + _ROUNDING:
             raise ValueError(f"a rectangle of {self.length} x {self.width} m is not in a disc of {self.radius} m")
         for name, value, limit in (
             ("gap_radius", self.gap_radius, self.radius),
@@ -186,6 +216,22 @@ class Robot(Schema):
             if self.wheels.separation >= 2.0 * self.radius:
                 raise ValueError("wheels: are farther apart than the robot is wide")
         return self
+
+    def _take_steering(self) -> None:
+        """Check that a car, and only a car, has steering, and derive the limits that follow from it."""
+        steering = self.steering
+        if (steering is not None) != (self.kind == "car"):
+            raise ValueError("steering: a robot of kind 'car' needs it, and no other may have it")
+        if steering is None:
+            return
+        if self.length <= 0.0:
+            raise ValueError("a car needs length and width: its corners swing out in turns")
+        given = [name for name in _DERIVED if name in self.model_fields_set]
+        if given:
+            raise ValueError(f"{given[0]}: a car's follows from its speed and steering: leave it out")
+        most = self.speed * steering.rate * (1.0 / steering.wheelbase + steering.wheelbase / steering.turning_radius**2)
+        for name, value in zip(_DERIVED, (self.speed / steering.turning_radius, most), strict=True):
+            object.__setattr__(self, name, value)  # the model is frozen from here on
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Robot:
@@ -203,6 +249,19 @@ class Robot(Schema):
                 raise FileError(first_error(error)) from None
             robot._folder = file.resolve().parent
         return robot
+
+    @property
+    def on_wheels(self) -> bool:
+        """Whether the robot drives on a floor by speed and turn rate."""
+        return self.kind != "planar_quadrotor"
+
+    @property
+    def rectangle(self) -> tuple[float, float, float] | None:
+        """Distance from a car's centre to its front and to its back, and half its width [m]; None for other robots."""
+        if self.steering is None:
+            return None
+        half, ahead = 0.5 * self.length, self.steering.centre
+        return half + ahead, half - ahead, 0.5 * self.width
 
     @property
     def commands(self) -> tuple[str, str]:
@@ -235,8 +294,9 @@ class Robot(Schema):
     @property
     def digest(self) -> str:
         """SHA-256 (hex) of the robot's values, and of its own URDF file if it has one."""
-        # The filter's belief about the lidar changes no body; recorded digests stay valid.
-        content = self.model_dump_json(exclude={"source": True, "lidar": {"missing_rate"}}).encode()
+        # The filter's belief about the lidar changes no body, nor does lacking steering: recorded digests stay valid.
+        left_out: Any = {"source": True, "lidar": {"missing_rate"}} | ({} if self.steering else {"steering": True})
+        content = self.model_dump_json(exclude=left_out).encode()
         return hashlib.sha256(content + (b"" if self.urdf_file is None else self.urdf_file.read_bytes())).hexdigest()
 
 

@@ -41,7 +41,7 @@ class RobotSpec(Part):
     def _own_commands(cls, value: Any, info: ValidationInfo) -> Any:
         """Use the robot's limits if no commands are given."""
         robot = named_robot(value, info)
-        if robot is None or robot.kind != "differential_drive" or "commands" in value:
+        if robot is None or not robot.on_wheels or "commands" in value:
             return value
         return {**value, "commands": dict(zip(robot.commands, limits_of(robot), strict=True))}
 
