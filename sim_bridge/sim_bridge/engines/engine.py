@@ -42,12 +42,15 @@ class WheeledRobot:
         pose: Pose x, y, theta of the root link at the start (3,) [m, m, rad].
         torque: Maximum torque of one wheel [N m].
         friction: Friction coefficient between wheel and floor.
+        steered: Whether it has front wheels, which turn about `front_left_joint` and `front_right_joint`, and are
+            steered about `steer_left_joint` and `steer_right_joint`.
     """
 
     urdf: str
     pose: Array
     torque: float
     friction: float = 1.0
+    steered: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,9 @@ class WheelBase(Protocol):
 
     def turn_wheels(self, left: float, right: float) -> None:
         """Set the target speeds of the wheels' motors [rad/s]."""
+
+    def steer(self, left: float, right: float) -> None:
+        """Set the steering angles of the front wheels, to the left [rad]; only for a steered robot."""
 
     def wheel_angles(self) -> tuple[float, float]:
         """Return the angles of the left and right wheel [rad]."""

@@ -15,11 +15,13 @@ from sim_bridge.engines.mujoco_model import (
     MOTOR,
     PLANAR_JOINTS,
     ROOT,
+    STEERING,
     WHEELS,
     build_model,
     fixed_geom,
     mover_name,
     prefix,
+    wheel_joints,
 )
 from sim_bridge.errors import SimulationError
 
@@ -195,8 +197,8 @@ class MujocoWheels(_MujocoRobot):
     """A `WheelBase` in MuJoCo."""
 
     def __init__(self, robot: WheeledRobot) -> None:
-        super().__init__(robot, (robot.urdf, robot.torque), ROOT)
-        self._pose, self._friction = robot.pose, robot.friction
+        super().__init__(robot, (robot.urdf, robot.torque, robot.steered), ROOT)
+        self._pose, self._friction, self._robot = robot.pose, robot.friction, robot
 
     def _start(self, model: mujoco.MjModel, own: str) -> None:
         joint = model.joint(own + ROOT)
@@ -204,7 +206,11 @@ class MujocoWheels(_MujocoRobot):
         self._place, self._rate = slice(place, place + 7), slice(rate, rate + 6)
         self._wheels = [int(model.joint(own + name).qposadr[0]) for name in WHEELS]
         self._motors = [int(model.joint(own + name + MOTOR).dofadr[0]) for name in WHEELS]
-        wheels = {int(model.joint(own + name).bodyid[0]) for name in WHEELS}
+        steering = [model.joint(own + name) for name in STEERING] if self._robot.steered else []
+        self._steered = [int(joint.qposadr[0]) for joint in steering]
+        self._steering = [int(joint.dofadr[0]) for joint in steering]
+        self._rate_of_steps = 1.0 / float(model.opt.timestep)
+        wheels = {int(model.joint(own + name).bodyid[0]) for name in wheel_joints(self._robot)}
         for geom in self.geoms:
             if int(model.geom_bodyid[geom]) in wheels:
                 model.geom_friction[geom, 0] = self._friction
@@ -213,6 +219,10 @@ class MujocoWheels(_MujocoRobot):
 
     def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
         self._data.qvel[self._motors] = (left, right)
+
+    def steer(self, left: float, right: float) -> None:  # noqa: D102
+        # As a motor's shaft, the joint is too heavy to be slowed down: within the next step it is where it should be.
+        self._data.qvel[self._steering] = ((left, right) - self._data.qpos[self._steered]) * self._rate_of_steps
 
     def wheel_angles(self) -> tuple[float, float]:  # noqa: D102
         left, right = self._data.qpos[self._wheels]

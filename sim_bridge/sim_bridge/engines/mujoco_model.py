@@ -20,6 +20,8 @@ from sim_bridge.engines.engine import (
 )
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
+FRONT = ("front_left_joint", "front_right_joint")
+STEERING = ("steer_left_joint", "steer_right_joint")
 PLANAR_JOINTS = ("x", "z", "psi")
 MOTOR = "_motor"
 """Suffix of a motor's joint, after the wheel's name."""
@@ -112,12 +114,20 @@ def _add_shape(body: mujoco.MjsBody, shape: Shape, plane: str) -> mujoco.MjsGeom
 def _wheeled(robot: WheeledRobot, rate: int) -> mujoco.MjSpec:
     spec = _load(robot.urdf)
     spec.body(ROOT).add_freejoint(name=ROOT)
-    for name in WHEELS:
-        joint = spec.joint(name)
-        for rim in joint.parent.geoms:
+    for name in wheel_joints(robot):
+        for rim in spec.joint(name).parent.geoms:
             rim.priority = 1  # over the floor: use the wheel's friction, which is set when the robot is placed
+    for name in WHEELS:
         _add_motor(spec, name, robot.torque, rate)
+    for steering, front in zip(STEERING, FRONT, strict=True) if robot.steered else ():
+        spec.joint(steering).armature = _SHAFT
+        spec.add_exclude(bodyname1=ROOT, bodyname2=spec.joint(front).parent.name)  # the wheel lies inside the body
     return spec
+
+
+def wheel_joints(robot: WheeledRobot) -> tuple[str, ...]:
+    """Return the joints of all wheels on the floor."""
+    return (*WHEELS, *FRONT) if robot.steered else WHEELS
 
 
 def _add_motor(spec: mujoco.MjSpec, wheel: str, torque: float, rate: int) -> None:

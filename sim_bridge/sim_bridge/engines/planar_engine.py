@@ -157,6 +157,9 @@ class PlanarWheels(_PlanarRobot):
     def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
         self._drives.wanted[0] = left, right
 
+    def steer(self, left: float, right: float) -> None:
+        """Do nothing; the rear wheels alone, which never slip, say where the robot goes."""
+
     def advance(self) -> None:  # noqa: D102 - see _PlanarRobot
         self._drives.advance()
 

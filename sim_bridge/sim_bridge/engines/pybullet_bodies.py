@@ -22,6 +22,7 @@ from sim_bridge.engines.quiet_pybullet import pybullet
 
 ALL_GROUPS = 0x7FFFFFFF
 """Contact and ray mask that matches every body."""
+_STEERING_TORQUE = 1e4  # [N m]; the body moves the target as slowly as the steering is
 _STATIC_GROUP = 2  # applies to all massless bodies
 
 
@@ -31,10 +32,18 @@ class PybulletWheels:
     def __init__(self, client: int, body: int, joints: Mapping[str, int], robot: WheeledRobot) -> None:
         self._client, self._body, self._torque = client, body, robot.torque
         self._wheels = [joints["wheel_left_joint"], joints["wheel_right_joint"]]
+        names = ("front_left_joint", "front_right_joint") if robot.steered else ()
+        front = [joints[name] for name in names]
         if robot.friction != 1.0:  # as in the URDF
-            for wheel in self._wheels:
+            for wheel in (*self._wheels, *front):
                 pybullet.changeDynamics(body, wheel, lateralFriction=robot.friction, physicsClientId=client)
         self.turn_wheels(0.0, 0.0)
+        if robot.steered:
+            self._front = [joints["steer_left_joint"], joints["steer_right_joint"]]
+            pybullet.setJointMotorControlArray(  # they roll freely: PyBullet brakes joints by default
+                body, front, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(front), physicsClientId=client
+            )
+            self.steer(0.0, 0.0)
 
     def turn_wheels(self, left: float, right: float) -> None:  # noqa: D102 - see WheelBase
         pybullet.setJointMotorControlArray(
@@ -43,6 +52,16 @@ class PybulletWheels:
             pybullet.VELOCITY_CONTROL,
             targetVelocities=(left, right),
             forces=[self._torque] * 2,
+            physicsClientId=self._client,
+        )
+
+    def steer(self, left: float, right: float) -> None:  # noqa: D102
+        pybullet.setJointMotorControlArray(
+            self._body,
+            self._front,
+            pybullet.POSITION_CONTROL,
+            targetPositions=(left, right),
+            forces=[_STEERING_TORQUE] * 2,
             physicsClientId=self._client,
         )
 

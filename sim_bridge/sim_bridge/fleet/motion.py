@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ctrl_rl_core import NavigationTask, Robot, System
 from sim_bridge.engines.planar_motion import RollingDrives
 from sim_bridge.engines.planar_parts import Outline, disc_outline, outline
-from sim_bridge.simulation.bodies import drive_of
+from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.model_body import LIDAR_HEIGHT, advance
 from sim_bridge.simulation.robot_urdf import urdf_of
+from sim_bridge.simulation.wheeled_bodies import drive_of
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,8 @@ class WheeledMotion:
 
     def __init__(self, task: NavigationTask, size: int, rate: int) -> None:
         drive = drive_of(task)
+        if drive.steering is not None:
+            raise SimulationError(f"task '{task.name}': a fleet has no steered wheels: simulate one car at a time")
         self.outline, self.lidar = outline(drive.urdf, "xy"), (*drive.lidar, drive.lidar_yaw)
         self._drive, self._drives = drive, RollingDrives(drive.urdf, drive.torque, size, rate, drive.lag)
         self.poses = self._drives.poses

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -15,12 +14,13 @@ from ctrl_rl_core.tasks import MODEL
 from numpy.typing import NDArray
 
 from ctrl_rl_core import NavigationTask, Robot, System
-from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheelBase, WheeledRobot
+from sim_bridge.engines.engine import Engine, FlyingRobot, PlanarJoints, WheeledRobot
 from sim_bridge.errors import SimulationError
 from sim_bridge.simulation.lidar import SensorPose
 from sim_bridge.simulation.model_body import ModelBody
 from sim_bridge.simulation.options import SimulationOptions
 from sim_bridge.simulation.robot_urdf import urdf_of
+from sim_bridge.simulation.wheeled_bodies import CarDrive, DifferentialDrive, drive_of
 
 Array = NDArray[np.float64]
 
@@ -61,116 +61,6 @@ class Body(Protocol):
 
     def top_speed(self, horizon: float) -> float:
         """Return an upper bound on the speed of any point of the body within the next `horizon` seconds [m/s]."""
-
-
-@dataclass(frozen=True)
-class DriveParameters:
-    """Parameters of a differential drive.
-
-    Attributes:
-        urdf: Path of the URDF file.
-        wheel_radius: Radius of the wheels [m].
-        wheel_separation: Distance between the wheels [m].
-        torque: Maximum torque of one wheel [N m].
-        lag: Time constant of the wheel speed [s].
-        bounds: Minimum and maximum v [m/s] and omega [rad/s]; None for the task's command bounds.
-        lidar: Position of the lidar in base_footprint (3,) [m].
-        lidar_yaw: Direction of the lidar's zero bearing [rad].
-    """
-
-    urdf: str
-    wheel_radius: float
-    wheel_separation: float
-    torque: float
-    lag: float
-    bounds: tuple[tuple[float, float], tuple[float, float]] | None
-    lidar: tuple[float, float, float]
-    lidar_yaw: float
-
-
-def drive_of(task: NavigationTask) -> DriveParameters:
-    """Return the drive parameters of a task's robot.
-
-    Raises:
-        SimulationError: The robot has no wheels.
-    """
-    robot = task.robot.robot
-    if robot is None or robot.wheels is None:
-        raise SimulationError(f"task '{task.name}': robot '{task.robot.body}' has no wheels to drive")
-    wheels, lidar, (low, high) = robot.wheels, robot.lidar, robot.limits
-    bounds = ((low[0], high[0]), (low[1], high[1])) if wheels.limited else None
-    place = lidar.x, lidar.y, lidar.z
-    return DriveParameters(
-        str(urdf_of(robot)), wheels.radius, wheels.separation, wheels.torque, wheels.lag, bounds, place, lidar.yaw
-    )
-
-
-class DifferentialDrive:
-    """Two wheels on velocity motors with a first-order lag and limited torque, standing on a floor; a `Body`."""
-
-    def __init__(
-        self, base: WheelBase, drive: DriveParameters, bounds: Array, radius: float, options: SimulationOptions
-    ) -> None:
-        """Start at rest.
-
-        Args:
-            base: The robot in the engine.
-            drive: Parameters of the drive.
-            bounds: Minimum and maximum commands, if the drive has none (2, 2).
-            radius: Radius of a circle that encloses the robot [m].
-            options: Settings of the episode.
-        """
-        self._base, self._drive = base, drive
-        self.bounds = bounds if drive.bounds is None else np.array(drive.bounds)
-        self.idle = np.zeros(2)
-        self.radius = radius
-        lag = drive.lag if options.motor_lag is None else options.motor_lag
-        self._share = -math.expm1(-1.0 / (options.rate * lag))
-        self._counted = drive.wheel_radius / options.wheel_radius  # rotates as if the wheels had their true radius
-        self._speeds = (0.0, 0.0)
-        v, omega = np.abs(self.bounds).max(axis=1)
-        self._top_speed = float(1.2 * (v + omega * radius) * (drive.wheel_radius / self._counted))
-
-    def act(self, command: Array) -> None:  # noqa: D102 - see Body
-        v, turn = float(command[0]), 0.5 * self._drive.wheel_separation * float(command[1])
-        left, right = self._speeds
-        wanted = ((v - turn) / self._counted, (v + turn) / self._counted)
-        if wanted == self._speeds:
-            return
-        left += self._share * (wanted[0] - left)
-        right += self._share * (wanted[1] - right)
-        settled = abs(left - wanted[0]) + abs(right - wanted[1]) < 1e-6
-        self._speeds = wanted if settled else (left, right)
-        self._base.turn_wheels(*self._speeds)
-
-    def pose(self) -> Array:  # noqa: D102
-        return self._base.pose()
-
-    def velocity(self) -> Array:  # noqa: D102
-        return self._base.velocity()
-
-    def state(self) -> Array | None:  # noqa: D102
-        return None
-
-    def quaternion(self) -> tuple[float, float, float, float]:  # noqa: D102
-        return self._base.quaternion()
-
-    def sensor(self) -> SensorPose:  # noqa: D102
-        x, y, theta = self.pose()
-        c, s = math.cos(theta), math.sin(theta)
-        along, aside, height = self._drive.lidar
-        origin = np.array((x + c * along - s * aside, y + s * along + c * aside, height))
-        if self._drive.lidar_yaw:
-            c, s = math.cos(theta + self._drive.lidar_yaw), math.sin(theta + self._drive.lidar_yaw)
-        return SensorPose(origin, np.array(((c, s, 0.0), (-s, c, 0.0))))
-
-    def wheel_angles(self) -> tuple[float, float] | None:  # noqa: D102
-        left, right = self._base.wheel_angles()
-        share = self._counted / self._drive.wheel_radius
-        return share * left, share * right
-
-    def top_speed(self, horizon: float) -> float:  # noqa: ARG002, D102 - its wheels bound it
-        return self._top_speed
 
 
 class PlanarQuadrotor:
@@ -265,8 +155,9 @@ def make_body(engine: Engine, task: NavigationTask, system: System, state: Array
     drive = drive_of(task)
     bounds = np.array([task.robot.commands[name] for name in ("v", "omega")])
     pose = _take(task, named, "x", "y", "theta")
-    base = engine.add_wheeled(WheeledRobot(drive.urdf, pose, drive.torque, options.friction))
-    return DifferentialDrive(base, drive, bounds, radius, options)
+    steered = drive.steering is not None
+    base = engine.add_wheeled(WheeledRobot(drive.urdf, pose, drive.torque, options.friction, steered))
+    return (CarDrive if steered else DifferentialDrive)(base, drive, bounds, radius, options)
 
 
 def _robot(task: NavigationTask) -> Robot:

@@ -9,7 +9,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from ctrl_rl_core import Robot
+from ctrl_rl_core import Robot, Steering, Wheels
 from sim_bridge.engines.engine import URDF_FOLDER
 from sim_bridge.errors import SimulationError
 
@@ -47,13 +47,18 @@ def urdf_of(robot: Robot) -> Path:
 
 
 def make_urdf(robot: Robot) -> str:
-    """Generate a URDF from a robot's dimensions: a round or rectangular body, two wheels, and two casters."""
+    """Generate a URDF from a robot's dimensions: a round or rectangular body, two wheels, and two casters.
+
+    A car has two steered front wheels in place of the casters.
+    """
     assert robot.wheels is not None
     wheels, lidar = robot.wheels, robot.lidar
-    own, mass = _WHEEL_MASS * robot.mass, (1.0 - 2.0 * _WHEEL_MASS) * robot.mass
+    parts_apart = 2 if robot.steering is None else 6  # wheels, and what carries those that are steered
+    own, mass = _WHEEL_MASS * robot.mass, (1.0 - parts_apart * _WHEEL_MASS) * robot.mass
     low = _CLEARANCE * wheels.radius
     high = max(lidar.z - _BELOW, 1.5 * low) if lidar.z else _HEIGHT
     height, middle, base = high - low, 0.5 * (low + high), robot.base_height
+    ahead = 0.0 if robot.steering is None else robot.steering.centre
     if robot.length:
         x, y, half = robot.length, robot.width, 0.5 * robot.length
         shape = f'<box size="{x:g} {y:g} {height:g}"/>'
@@ -68,7 +73,7 @@ def make_urdf(robot: Robot) -> str:
     parts = [
         _link("base_footprint", 0.001, (1e-6, 1e-6, 1e-6)),
         _joint("base_joint", "fixed", "base_footprint", "base_link", (0.0, 0.0, base)),
-        _link("base_link", mass, (tips, tips, turns), shape, middle - base),
+        _link("base_link", mass, (tips, tips, turns), shape, middle - base, ahead=ahead),
         _joint("scan_joint", "fixed", "base_link", "base_scan", (lidar.x, lidar.y, lidar.z - base), lidar.yaw),
         _link("base_scan", 0.001, (1e-6, 1e-6, 1e-6)),
     ]
@@ -79,13 +84,29 @@ def make_urdf(robot: Robot) -> str:
             _joint(f"wheel_{side}_joint", "continuous", "base_link", f"wheel_{side}_link", place),
             _link(f"wheel_{side}_link", own, (0.5 * spin, spin, 0.5 * spin), rim, friction=1.0, roll=0.5 * math.pi),
         ]
-    for side, sign in (("front", 1.0), ("back", -1.0)):
+    if robot.steering is not None:
+        parts += _front_wheels(robot.steering, wheels, own, spin, rim, base)
+    for side, sign in (("front", 1.0), ("back", -1.0)) if robot.steering is None else ():
         place = (sign * (0.8 * half - ball), 0.0, ball - base)
         parts += [
             _joint(f"ball_{side}_joint", "fixed", "base_link", f"ball_{side}_link", place),
             _link(f"ball_{side}_link", 0.001, (1e-7, 1e-7, 1e-7), f'<sphere radius="{ball:g}"/>', friction=0.0),
         ]
     return "\n".join(('<?xml version="1.0"?>', '<robot name="robot">', *parts, "</robot>\n"))
+
+
+def _front_wheels(steering: Steering, wheels: Wheels, mass: float, spin: float, rim: str, base: float) -> list[str]:
+    """Return the links and joints of two steered wheels of a mass [kg] and a moment of inertia [kg m^2]."""
+    parts, knuckle = [], 0.4 * mass * wheels.radius**2
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        place = (steering.wheelbase, sign * 0.5 * wheels.separation, wheels.radius - base)
+        parts += [
+            _joint(f"steer_{side}_joint", "continuous", "base_link", f"steer_{side}_link", place, axis="0 0 1"),
+            _link(f"steer_{side}_link", mass, (knuckle, knuckle, knuckle)),
+            _joint(f"front_{side}_joint", "continuous", f"steer_{side}_link", f"front_{side}_link", (0.0, 0.0, 0.0)),
+            _link(f"front_{side}_link", mass, (0.5 * spin, spin, 0.5 * spin), rim, friction=1.0, roll=0.5 * math.pi),
+        ]
+    return parts
 
 
 @cache
@@ -96,11 +117,19 @@ def _folder() -> Path:
     return Path(folder)
 
 
-def _joint(name: str, kind: str, parent: str, child: str, place: tuple[float, float, float], yaw: float = 0.0) -> str:
+def _joint(
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    place: tuple[float, float, float],
+    yaw: float = 0.0,
+    axis: str = "0 1 0",
+) -> str:
     origin = f'xyz="{place[0]:g} {place[1]:g} {place[2]:g}"' + (f' rpy="0 0 {yaw:.9g}"' if yaw else "")
-    axis = '<axis xyz="0 1 0"/>' if kind == "continuous" else ""
+    about = f'<axis xyz="{axis}"/>' if kind == "continuous" else ""
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}<origin {origin}/>{axis}</joint>'
+    return f'<joint name="{name}" type="{kind}">{ends}<origin {origin}/>{about}</joint>'
 
 
 def _link(
@@ -111,10 +140,11 @@ def _link(
     height: float = 0.0,
     friction: float | None = None,
     roll: float = 0.0,
+    ahead: float = 0.0,
 ) -> str:
-    place = f'<origin xyz="0 0 {height:g}" rpy="{roll:.9g} 0 0"/>'
+    place = f'<origin xyz="{ahead:g} 0 {height:g}" rpy="{roll:.9g} 0 0"/>'
     diagonal = " ".join(f'{axis}="{value:.6g}"' for axis, value in zip(("ixx", "iyy", "izz"), inertia, strict=True))
-    out = f'<inertial><origin xyz="0 0 {height:g}"/><mass value="{mass:g}"/>'
+    out = f'<inertial><origin xyz="{ahead:g} 0 {height:g}"/><mass value="{mass:g}"/>'
     out += f'<inertia {diagonal} ixy="0" ixz="0" iyz="0"/></inertial>'
     if friction is not None:
         out = f'<contact><lateral_friction value="{friction:g}"/></contact>' + out
