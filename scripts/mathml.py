@@ -1,4 +1,4 @@
-"""A hook of MkDocs: $$equations$$ and $`formulas`$ become MathML, which browsers draw without any script."""
+"""MkDocs hook that converts $$equations$$ and $`formulas`$ to MathML, which browsers render without scripts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _INLINE = re.compile(r"\$`([^`\n]+)`\$")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Return a page's text with its formulas as MathML."""
+    """Return a page's text with its formulas converted to MathML."""
     # Markdown takes <math> at the start of a line for a block, which would end the paragraph there.
     text = _INLINE.sub(lambda match: f"<span>{convert(match[1])}</span>", markdown)
     parts = _CODE.split(text)

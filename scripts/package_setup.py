@@ -1,4 +1,4 @@
-"""The one setup.py of all packages: what package.xml says is read there, what all have in common stands here."""
+"""Shared setup of all packages: common settings are defined here, the rest comes from each package.xml."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from xml.etree import ElementTree as ET
 from setuptools import find_packages, setup  # type: ignore[import-untyped]
 
 DATA = ("py.typed", "**/*.pyi", "**/*.yaml", "**/*.pgm", "**/*.safetensors", "**/*.urdf")
-"""Files of a package besides its modules, as in pyproject.toml."""
+"""Data files of a package, as in pyproject.toml."""
 
 
 def setup_package(entry_points: Mapping[str, Sequence[str]] | None = None) -> None:
-    """Set up the package of the working folder, as colcon calls it.
+    """Set up the package in the working folder, from which colcon calls it.
 
     Args:
         entry_points: Executables (`console_scripts`) and plug-ins, as setuptools takes them.
@@ -50,7 +50,7 @@ def setup_package(entry_points: Mapping[str, Sequence[str]] | None = None) -> No
 
 
 def _through_door(line: str) -> str:
-    """Return an executable whose function is imported and run by `ctrl_rl_core.entry`."""
+    """Return the console script of an executable that `ctrl_rl_core.entry` imports and runs."""
     name, _, place = line.partition(" = ")
     module, _, function = place.partition(":")
     source = Path(f"{module.replace('.', '/')}.py")

@@ -18,7 +18,7 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the demo."""
+    """Return the launch description of the demo."""
     return description("demo", ARGUMENTS, _prepare)
 
 

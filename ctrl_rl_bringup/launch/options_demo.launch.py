@@ -20,7 +20,7 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the demo of a team."""
+    """Return the launch description of a team's demo."""
     return description("options", ARGUMENTS, _prepare)
 
 

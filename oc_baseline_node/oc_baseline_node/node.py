@@ -53,7 +53,7 @@ class OcBaselineNode(ValueServer):
         return load_value(find_value(path))
 
     def prepare(self, function: ValueFunction) -> Valued:
-        """Warn if a value was made for another version of its task; return a function that publishes nothing more.
+        """Warn if a value was made for another version of its task; return a callback without further output.
 
         Raises:
             CtrlRlError: The task does not exist, or the function belongs to another one.

@@ -1,4 +1,4 @@
-"""Writes the reference pages from the code: commands, parameters, topics, messages, schemas, names of Python."""
+"""Generate the reference pages from the code: commands, parameters, topics, messages, schemas, Python names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAGES = {
 
 
 def main() -> int:
-    """Write the pages into the folder that is given: those that are named, or all."""
+    """Write the named pages, or all, to the given folder."""
     parser = argparse.ArgumentParser(prog="python scripts/reference", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder for the pages")
     parser.add_argument("page", nargs="*", help=f"pages to write instead of all: {', '.join(PAGES)}")

@@ -1,4 +1,4 @@
-"""The page of what each command takes: kinds of tasks, and what a task of that kind must have or cannot be used for."""
+"""The page of capabilities: which kinds of tasks each command supports, and which parts a task needs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MAP, TEAM = "map, wheels", "team file"
 
 
 def examples(folder: Path) -> dict[str, str]:
-    """Return a task of each kind, by name or file; that on a map is written into a folder."""
+    """Return an example task of each kind, by name or file; write the one with a map to a folder."""
     content = yaml.safe_load(task_file("car_navigation").read_text(encoding="utf-8"))
     content |= {"name": "on_a_map", "map": {"file": str(map_file("maze"))}}
     for part in ("arena", "obstacles", "optimal_control"):
@@ -49,12 +49,12 @@ def examples(folder: Path) -> dict[str, str]:
 
 
 def load(kind: str, name: str) -> TaskHeader:
-    """Return the task of a kind."""
+    """Load a task of a given kind."""
     return load_team(name) if kind == TEAM else load_task(name)
 
 
 def capability_page() -> str:
-    """Return the page: the table, and each reason with the commands that give it."""
+    """Return the page, with the table and each reason with its commands."""
     with tempfile.TemporaryDirectory() as folder:
         return _page({kind: load(kind, name) for kind, name in examples(Path(folder)).items()})
 

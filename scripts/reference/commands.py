@@ -1,4 +1,4 @@
-"""The page of commands: what each answers to `--help`."""
+"""The page of commands, with the `--help` of each."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ than 0. Nodes are commands too: [parameters](parameters.md) has theirs as tables
 
 
 class HelpError(Exception):
-    """A command does not answer to `--help`."""
+    """A command's `--help` fails."""
 
 
 def command_page() -> str:
     """Return the page.
 
     Raises:
-        HelpError: A command fails; the message holds what it said.
+        HelpError: A command fails; the message contains its output.
     """
     found = list(executables())
     with ThreadPoolExecutor(2) as pool:
@@ -57,7 +57,7 @@ def _run(executable: Executable, *arguments: str) -> str:
 
 
 def _subcommands(text: str) -> list[str]:
-    """Return the names in the `{a,b,c}` of a usage that stands for a subcommand, and not for an option's value."""
+    """Return the names in a usage's `{a,b,c}` if they are subcommands rather than an option's values."""
     words = text.split("\n\n", 1)[0].replace(",\n", ",").split()
     for before, word in pairwise(words):
         value = before.lstrip("[(").startswith("-") and not before.endswith("]")

@@ -1,4 +1,4 @@
-"""The pages of node parameters, and of topics and services as the ROS graph shows them of running nodes."""
+"""The pages of node parameters, and of topics and services from the ROS graph of running nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ctrl_rl_core import SuiteNode
 
 _START_S = 90.0
 _SETTLE_S = 2.0
-"""After a node's first diagnostics, which say that it has made all of its topics, until they have been heard of."""
+"""Time from a node's first diagnostics, when all its topics exist, until the graph shows them."""
 _OWN = {"/rosout", "/parameter_events", "/clock"}
 _OWN_TYPES = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 _PARAMETERS = """# Parameters
@@ -37,11 +37,11 @@ node's own name, `/sim_bridge/...`, is private to it (`~/...`). [Messages](messa
 
 
 class NodeError(Exception):
-    """A node does not start, or is not seen in the graph."""
+    """A node does not start, or does not appear in the graph."""
 
 
 class RunningNode(NamedTuple):
-    """Start of a node whose topics are to be seen: parameters without which it has none, or does not start."""
+    """How to start a node for the page, with the parameters that it needs to start and to create its topics."""
 
     package: str
     executable: str
@@ -66,7 +66,7 @@ _RUNNING = (
 
 
 def parameter_page() -> str:
-    """Return the page of parameters: one table for each node."""
+    """Return the page of parameters, with one table per node."""
     parts = [_PARAMETERS]
     for executable in executables():
         for kind in _node_kinds(executable):
@@ -83,13 +83,13 @@ def parameter_page() -> str:
 
 
 def topic_page() -> str:
-    """Return the page of topics and services: each node is started and asked of the graph.
+    """Return the page of topics and services, from starting each node and reading the graph.
 
     Raises:
-        NodeError: One does not start.
+        NodeError: A node does not start.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # whatever else runs here is no part of the page
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # other running nodes do not belong on the page
     with tempfile.TemporaryDirectory() as folder:
         grid = Path(folder) / "car_ttr.safetensors"
         _solve(grid)
@@ -106,7 +106,7 @@ def topic_page() -> str:
 
 
 def _node_kinds(executable: Executable) -> list[type[SuiteNode]]:
-    """Return the node classes that an executable's module defines or runs; none where it is no node."""
+    """Return the node classes that an executable's module defines or runs; empty if it is no node."""
     if "node" not in executable.module and "agent" not in executable.module:
         return []
     members = vars(import_module(executable.module)).values()

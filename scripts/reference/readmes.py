@@ -1,4 +1,4 @@
-"""The packages' README files as pages of the site: links are turned to where the site has their targets."""
+"""The packages' README files as pages of the site, with links adjusted to the site's structure."""
 
 from __future__ import annotations
 

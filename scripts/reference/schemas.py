@@ -1,4 +1,4 @@
-"""The page of file schemas: what tasks, teams, policies and values may say, from the classes that check them."""
+"""The page of file schemas: keys of tasks, teams, policies and values, from the classes that validate them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MODULES = {
 
 
 def schema_page() -> str:
-    """Return the page: one table for each class of each kind of file."""
+    """Return the page, with one table per class for each kind of file."""
     parts = [_HEAD]
     for title, modules in _MODULES.items():
         parts.append(f"## {title}\n")
@@ -52,7 +52,7 @@ def schema_page() -> str:
 
 
 def _with_parts(name: str) -> list[str]:
-    """Return the names of a module and, where it is a package, of the modules in it."""
+    """Return the name of a module and, if it is a package, of the modules in it."""
     folders = getattr(import_module(name), "__path__", [])
     return [name, *(f"{name}.{each.name}" for each in iter_modules(folders))]
 

@@ -1,4 +1,4 @@
-"""What the workspace has: its packages, and the executables that each of them installs."""
+"""The workspace's packages, and the executables that they install."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PACKAGES = sorted(file.parent.name for file in ROOT.glob("*/package.xml"))
 
 
 class Executable(NamedTuple):
-    """One entry of a package's `console_scripts`.
+    """Entry of a package's `console_scripts`.
 
     Attributes:
         package: Name of the package.

@@ -273,7 +273,7 @@ def _member(group: h5py.Group, name: str, kind: type) -> Any:
 
 
 def _append(group: h5py.Group, name: str, values: NDArray[np.generic], whole: bool) -> None:
-    """Append rows to an array; `whole` marks the last ones."""
+    """Append rows to an array, or create it at once if the rows are the `whole` array."""
     if whole:
         group.create_dataset(name, data=values)
         return

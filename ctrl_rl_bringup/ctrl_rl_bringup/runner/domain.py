@@ -35,8 +35,8 @@ class DomainError(CtrlRlError):
 def own_domain(program: str) -> Iterator[int]:
     """Reserve a ROS domain for one run, and yield its number.
 
-    It is ROS_DOMAIN_ID or, if that is not set, the first free one. Any other than 0 is reported on standard error and
-    set for the nodes of the run.
+    The domain is ROS_DOMAIN_ID or, if that is not set, the first free one. A domain other than 0 is printed on standard
+    error and set for the nodes of the run.
 
     Args:
         program: Name at the beginning of the report.

@@ -1,4 +1,4 @@
-"""Watches whether the robot moves as its model says, and whether its lidar points where it is said to point."""
+"""Monitor whether the robot moves as its model predicts, and whether its lidar is mounted as configured."""
 
 import lazy_loader as lazy
 

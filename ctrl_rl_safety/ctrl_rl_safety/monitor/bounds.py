@@ -1,4 +1,4 @@
-"""Bounds of a robot's motion, as stated by its model and as grown by what was seen."""
+"""Bounds of a robot's motion: those of its model, extended by measurements."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ LEAST_BRAKING = 0.3
 LEAST_TURNING = 0.25
 """Turn acceleration that a robot must have, as a fraction of the stated one."""
 MOST_ACCELERATION = 100.0
-"""Acceleration of a robot that takes each command at once [m/s^2]."""
+"""Acceleration of a robot that executes each command at once [m/s^2]."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a robot does worse than its model states; by default nothing.
+    """Deviations of a robot from its model, for the worse; none by default.
 
     Attributes:
         delay: Additional delay [s].
@@ -33,7 +33,7 @@ class Bounds:
     disturbance: float = 0.0
 
     def beside(self, other: Bounds) -> Bounds:
-        """Return the worse one of both in each respect."""
+        """Return the worse of both in each respect."""
         return Bounds(
             max(self.delay, other.delay),
             max(self.acceleration, other.acceleration),
@@ -60,7 +60,7 @@ _NAMES = ("delay", "acceleration", "braking", "turn_acceleration", "disturbance"
 
 
 def differences(model: RobotModel, stated: RobotModel) -> dict[str, str]:
-    """Return in words what differs between a model and the stated one, by the name of the constant."""
+    """Describe the differences between a model and the stated one, by the name of the constant."""
     out = {}
     for name in _NAMES:
         now, before = getattr(model, name), getattr(stated, name)

@@ -1,4 +1,4 @@
-"""Which of the hypotheses that are not refuted explain the motion at the least cost."""
+"""Select the smallest growth of bounds that covers an open hypothesis, i.e. one that is not refuted."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 Flags = NDArray[np.bool_]
 
 _BESIDE = 0.1
-"""Delays up to this much longer than the shortest one that explains the motion are believed too [s]: a late start does
-not tell a long delay from a slightly shorter one with less acceleration."""
+"""Delays up to this much longer than the shortest explaining one are accepted as well [s], since a late start does not
+distinguish a long delay from a slightly shorter one with less acceleration."""
 
 
 class Grown(NamedTuple):
-    """Indices of intervals, from what the model states to what is worse.
+    """Indices of intervals, ordered from the model's value to worse values.
 
     Attributes:
         delay: Interval of the delay.
@@ -28,7 +28,7 @@ class Grown(NamedTuple):
     shed: int
 
     def beside(self, other: Grown) -> Grown:
-        """Return the worse one of both in each respect."""
+        """Return the worse of both in each respect."""
         return Grown(*(max(a, b) for a, b in zip(self, other, strict=True)))
 
 
@@ -39,8 +39,8 @@ def explained(open_: Flags, known: Grown, delays: NDArray[np.float64], both: boo
         open_: Whether each hypothesis is open (delays, building rates, shedding rates); at least one is.
         known: Bounds so far.
         delays: Longest delay of each interval, beyond the stated one (delays,) [s].
-        both: Whether both a longer delay and a lower shedding rate are believed where each of them explains the motion
-            alone, until it is known which of them is true; else only the delay.
+        both: Whether to assume both a longer delay and a lower shedding rate if each alone explains the motion, until a
+            measurement decides between them; otherwise only the delay.
     """
     if open_[: known.delay + 1, : known.build + 1, : known.shed + 1].any():
         return known

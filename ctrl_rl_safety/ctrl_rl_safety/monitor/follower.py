@@ -1,4 +1,4 @@
-"""Tells from commands and measurements of one speed how late and how slowly it follows them."""
+"""Estimate from commands and measurements how late and how slowly one speed follows its commands."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LATER = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
-"""Delays beyond the stated one that are told apart [s]."""
+"""Edges of the distinguished intervals of the delay beyond the stated one [s]."""
 _RELATIVE = 0.02
-"""Error of a measured speed relative to it."""
+"""Relative error of a measured speed."""
 LARGEST_GAIN = 0.3
-"""Fraction by which a speed may exceed its command at most."""
+"""Maximum fraction by which a speed may exceed its command."""
 UNKNOWN = 1e3
-"""Size of a command that nobody knows [unit]."""
+"""Magnitude that stands for an unknown command [unit]."""
 _BORNE = 0.5
-"""Time for which a speed may exceed every command by more than is borne [s]."""
+"""Time for which a speed may exceed every command by more than the slack [s]."""
 _STAYS = 1.0
-"""Time for which a growth of bounds must have explained the motion to outlast what nothing explains [s]."""
+"""Time for which grown bounds must have explained the motion to be kept when a measurement is unexplained [s]."""
 
 
 class Follower:
-    """Hypotheses about how one speed follows its commands, and the bounds that follow from those left.
+    """Hypotheses about how one speed follows its commands, and the bounds from those still open.
 
     Args:
         delay: Stated delay [s].
@@ -49,15 +49,16 @@ class Follower:
         stated: Number of those intervals that the model allows.
         sheds: Edges of the intervals of the shedding rate, from the highest one down (j + 1,) [unit/s].
         error: Error of a measurement near zero [unit].
-        slack: Excess over every command that is borne [unit].
-        tied: Whether both rates are one, so that each building interval goes with the shedding interval of its index.
+        slack: Tolerated excess over every command [unit].
+        tied: Whether both rates are equal, so that each building interval is paired with the shedding interval of the
+            same index.
 
     Attributes:
-        grown: Indices of the bounds that cover what was seen.
+        grown: Indices of the bounds that cover the measurements.
         gain: Fraction by which the speed has exceeded its commands.
         excess: Amount by which it has exceeded them [unit].
-        delays: Whether each interval of the delay is open, by what was seen last.
-        lost: Whether the speed returns to zero more slowly than any hypothesis says.
+        delays: Whether each interval of the delay is open after the last measurement.
+        lost: Whether the speed returns to zero more slowly than any hypothesis allows.
     """
 
     def __init__(
@@ -89,17 +90,17 @@ class Follower:
         self._gone, self._ahead = np.zeros(at.size, np.bool_), np.zeros(at.size, np.bool_)
 
     def error(self, value: float) -> float:
-        """Return the bound of the error of a measured speed [unit]."""
+        """Return the error bound of a measured speed [unit]."""
         return self._error + _RELATIVE * abs(value)
 
     def begin(self, value: float) -> None:
-        """Take a measurement for the present speed, whatever was before it."""
+        """Restart from a measured speed, regardless of earlier measurements."""
         error = self.error(value)
         self._borne_at = math.inf
         self._low[:], self._high[:] = value - error, value + error
 
     def told(self, sent: Array, time: float) -> tuple[float, float]:
-        """Return the range of commands that may be in effect at a time [s] by any hypothesis; `UNKNOWN` if unknown."""
+        """Return the range of commands possibly in effect at a time [s] under any hypothesis; `UNKNOWN` if unknown."""
         least, most = command_range(sent, time - self._longest, time)
         return float(least), float(most)
 
@@ -107,7 +108,7 @@ class Follower:
         return max(abs(each) for each in self.told(sent, time))
 
     def open(self) -> Flags:
-        """Return which hypotheses the motion has left open (delays, building rates, shedding rates)."""
+        """Return which hypotheses are still open (delays, building rates, shedding rates)."""
         return ~(self._gone | self._ahead).reshape(self._shape)
 
     def measure(
@@ -120,9 +121,9 @@ class Follower:
             begin: Time of the last measurement [s].
             end: Time of this one [s].
             value: Measured speed [unit].
-            coupled: Whether another speed may have claimed the force meanwhile.
-            delay: Interval of the delay that is known from another speed.
-            possible: Intervals of the delay that are possible by what is known from another speed (m,).
+            coupled: Whether another speed may have used the force in the meantime.
+            delay: Interval of the delay that another speed has determined.
+            possible: Intervals of the delay that another speed leaves possible (m,).
         """
         told = self._most(sent, end)
         if told >= UNKNOWN or abs(value) - self.error(value) - told <= max(LARGEST_GAIN * told, self._slack):
@@ -145,7 +146,7 @@ class Follower:
             return
         if end - self._grown_at >= _STAYS:
             self._known = self.grown
-        # Hypotheses that were too pessimistic before fit again if the robot has changed.
+        # Hypotheses that were once too pessimistic may fit again if the robot has changed.
         again = (before & (found == FITS)).reshape(self._shape) & possible[:, None, None]
         if again.any():
             self._known = self._explained(again, known.beside(self._known))
@@ -162,8 +163,8 @@ class Follower:
         Args:
             sent: The commands.
             time: Time of the measurement [s].
-            size: Size of the speed, less its error [unit].
-            worst: What the measurement says of the hypotheses of the longest delay and the weakest brakes.
+            size: Magnitude of the speed, minus its error [unit].
+            worst: Judgements of the hypotheses with the longest delay and the weakest brakes.
         """
         told = self._most(sent, time)
         if told >= UNKNOWN:
@@ -175,7 +176,7 @@ class Follower:
             self.lost = True
 
     def _explained(self, left: Flags, known: Grown) -> Grown:
-        # A robot that is believed to turn less than it does takes another path, which is no safer.
+        # If the model underestimates the turn rate, the robot takes another path, which is not safer.
         return explained(left, known, self._later, both=not self._tied)
 
     def _grow(self, found: Grown, time: float) -> None:
@@ -184,5 +185,5 @@ class Follower:
 
 
 def intervals(edges: Sequence[float]) -> list[tuple[float, float]]:
-    """Return the intervals (low, high) between neighbouring edges, which may rise or fall."""
+    """Return the intervals (low, high) between neighbouring edges, in ascending or descending order."""
     return [(min(pair), max(pair)) for pair in pairwise(edges)]

@@ -1,8 +1,8 @@
-"""How one speed may follow its commands under a hypothesis: the interval that it can reach by then.
+"""Reachable interval of one speed that follows its commands under a hypothesis.
 
-A hypothesis says in which interval the delay lies, and in which intervals the rates lie at which the speed leaves zero
-(builds) and returns to zero (sheds). All speeds that some delay and some rates within these intervals can produce form
-an interval again, because every speed moves towards its command. A measurement outside of it refutes the hypothesis.
+A hypothesis consists of an interval for the delay, and intervals for the rates at which the speed leaves zero (builds)
+and returns to zero (sheds). The speeds that delays and rates within these intervals can produce form an interval again,
+because every speed moves towards its command. A measurement outside that interval refutes the hypothesis.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ Flags = NDArray[np.bool_]
 STEP = 0.02
 """Maximum time step of the intervals [s]."""
 JITTER = 0.02
-"""Time by which a single command may take effect earlier or later than the delay says [s]."""
+"""Maximum deviation of a single command's delay from the constant delay [s]."""
 FITS, LEADS, SHEDS_LATE, BUILDS_LATE, GONE = 0, 1, 2, 3, 4
-"""Judgements of a hypothesis: it fits; the speed is ahead of it; the speed returns to zero, or leaves it, too slowly;
-it had been refuted before."""
+"""Judgements of a hypothesis: it fits; the speed is ahead of it; the speed returns to zero too slowly; the speed leaves
+zero too slowly; it was refuted before."""
 
 
 class Hypotheses(NamedTuple):
@@ -36,7 +36,7 @@ class Hypotheses(NamedTuple):
         longest: Longest delay of each interval (m,) [s].
         build: Lowest and highest rate away from zero (n, 2) [unit/s].
         shed: Lowest and highest rate towards zero (n, 2) [unit/s].
-        lag: Time constant within which the speed follows [s].
+        lag: Time constant of the speed [s].
     """
 
     delay: NDArray[np.int64]
@@ -54,9 +54,9 @@ def _limited(value: float, most: float) -> float:
 
 @njit
 def _slowest(v: float, c: float, build: float, shed: float, share: float, step: float, error: float) -> float:
-    """Return the speed after a step towards a command at the lowest rates, with the lag; zero is not crossed.
+    """Return the speed after a step towards a command at the lowest rates, with lag and without crossing zero.
 
-    A speed within the error of a measurement may be zero, and so leave it already.
+    A speed within the measurement error may be zero, and so may already leave zero.
     """
     dv = share * (c - v)
     returns = v * dv < 0.0
@@ -113,15 +113,16 @@ def advance(
         those: The hypotheses.
         low: Lower ends of the speed's intervals (n,) [unit].
         high: Upper ends (n,) [unit].
-        sent: Time, lowest and highest value of each command, oldest first (k, 3); the first one holds since ever.
+        sent: Time, lowest and highest value of each command, oldest first (k, 3); the first one also holds before its
+            time.
         begin: Time of the intervals [s].
         end: Time to which to advance [s].
         gain: Fraction by which a speed may exceed its command.
-        coupled: Whether another speed claims the same force, so that this one need not change at all.
-        error: Bound of the error of a measurement near zero [unit].
+        coupled: Whether another speed uses the same force, so that this one may not change at all.
+        error: Error bound of a measurement near zero [unit].
 
     Returns:
-        Whether at the end each interval's upper end was falling, and its lower end rising (n,).
+        Whether each interval's upper end was falling at the end, and whether its lower end was rising (n,).
     """
     count = max(1, math.ceil((end - begin) / STEP - 1e-9))
     step = (end - begin) / count
@@ -156,7 +157,7 @@ def advance(
 def judge(
     low: Array, high: Array, falling: Flags, rising: Flags, gone: Flags, value: float, error: float
 ) -> NDArray[np.int8]:
-    """Return what a measurement says of each hypothesis (n,), and narrow its interval to it, in place.
+    """Judge each hypothesis (n,) by a measurement, and narrow its interval to the measurement in place.
 
     Args:
         low: Lower ends of the speed's intervals (n,) [unit].

@@ -1,7 +1,7 @@
-"""Predicts the robot's motion from its commands, and compares it with the measured one all the time.
+"""Predict the robot's motion from its commands, and continuously compare it with the measured motion.
 
-The bounds of the model grow at the first measurement that they do not allow, and a robot that is worse than any bound
-stands. Before the robot has shown that it brakes as stated and at once, some braking and some delay are not relied on.
+The bounds of the model grow at the first measurement outside them, and a robot that is worse than any bound stops.
+Until the robot has demonstrated its braking and its delay, the model assumes less braking and more delay.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ _STATED = 7
 _SHEDS = (1e3, 0.95, 0.87, 0.78, 0.7, 0.6, 0.5, 0.4, LEAST_BRAKING)
 """Edges of the intervals of the braking relative to the stated one, which is a lower bound."""
 _TURNS = (1e3, 0.9, 0.75, 0.6, 0.4, LEAST_TURNING)
-"""The same of the turn acceleration."""
+"""The same for the turn acceleration."""
 _ERRORS = 0.02, 0.05
 """Errors of a measured speed [m/s] and turn rate [rad/s] near zero."""
 _SLACK = 0.1
-"""Fraction of its largest speed by which a robot may exceed every command, as on a slope."""
+"""Fraction of its maximum speed by which a robot may exceed every command, for example on a slope."""
 _TURN_SLACK, _LEAST_TURN_SLACK = 0.2, 0.3
 """The same of its turn rate, which shakes as wheels slip, and the least that is borne [rad/s]."""
 _UNSEEN_DELAY = 0.06
 """Delay beyond the stated one that a start does not reveal [s]."""
 _UNSEEN_BRAKING = 0.87
-"""Braking relative to the stated one that no stop tells from it."""
+"""Braking relative to the stated one that no stop can distinguish from it."""
 _LONGEST = 0.3
-"""Longest interval between two measurements that are compared [s]."""
+"""Maximum interval between two compared measurements [s]."""
 _ANY = (-np.inf, -UNKNOWN, UNKNOWN, -UNKNOWN, UNKNOWN)
 """Time of any command before the first one, and its lowest and highest speed and turn rate."""
 _KEPT = 1.5
-"""Time beyond the stated delay for which commands are kept [s]; the longest delay and the longest interval."""
+"""Time beyond the stated delay for which commands are stored [s]: the longest delay plus the longest interval."""
 _LARGEST_SLIP = 0.5
-"""Disturbance that a robot may have at most, as a fraction of its speed."""
+"""Maximum tolerated disturbance, as a fraction of the speed."""
 _PUSHED = "the robot moves although it is told to stand: is it pushed, or does somebody else command it?"
 _LOST = "the robot {} than any bound allows: measure it with `identify`, mend it, then start the filter again"
 
 
 class ModelMonitor:
-    """Bounds of a robot's motion that hold for all that was seen of it.
+    """Bounds of a robot's motion that cover all measurements of it.
 
     Args:
         stated: Model of the robot.
-        unproven_braking: Fraction of the braking not relied on before the robot has shown it.
-        unproven_delay: Delay beyond the stated one that is reckoned with before the robot has shown to be quicker [s].
+        unproven_braking: Fraction of the stated braking to discount until the robot has demonstrated it.
+        unproven_delay: Delay to add to the stated one until the robot has demonstrated a shorter one [s].
 
     Attributes:
         stated: Model of the robot.
-        model: The same with the bounds that hold now.
-        grown: What the robot was seen to do worse than stated.
-        unproven: What it has not been seen to do as stated.
-        problem: Reason for which the robot must stand; empty for none.
+        model: The same model with the current bounds.
+        grown: Deviations from the model found so far.
+        unproven: Margins for properties that the robot has not demonstrated yet.
+        problem: Reason why the robot must stop; empty if there is none.
     """
 
     def __init__(self, stated: RobotModel, unproven_braking: float = 0.2, unproven_delay: float = 0.15) -> None:
@@ -89,14 +89,14 @@ class ModelMonitor:
             self._sent.popleft()
 
     def forget(self) -> None:
-        """Begin again, because time or the odometry frame has jumped; bounds that have grown stay."""
+        """Restart because time or the odometry frame has jumped; keep the bounds that have grown."""
         self._slip.forget()
         self._last = None
         self._sent.clear()
         self._sent.append(_ANY)
 
     def measure(self, time: float, pose: Array, v: float, omega: float) -> None:
-        """Judge the motion; from then on `model` holds.
+        """Judge the motion since the last measurement, and update `model`.
 
         Args:
             time: Steady time of the measurement [s].
@@ -129,7 +129,7 @@ class ModelMonitor:
         self._use()
 
     def _moved_by_others(self, told: tuple[tuple[float, float], ...], stands: bool) -> bool:
-        """Return whether a robot that stood moves although no command says so, until it stands again."""
+        """Return whether a standing robot moves without a command, until it stands again."""
         if max(abs(each) for both in told for each in both) >= STANDS:
             self._rested = self._pushed = False
         elif stands:
@@ -139,7 +139,7 @@ class ModelMonitor:
         return self._pushed
 
     def _use(self) -> None:
-        """Take the bounds from what was seen."""
+        """Set the model to the current bounds."""
         speed, turn, stated = self._speed.grown, self._turn.grown, self.stated
         excess = max(self._speed.gain * max(stated.speed, stated.reverse_speed), self._speed.excess)
         self.grown = Bounds(
@@ -163,7 +163,7 @@ class ModelMonitor:
         self.problem = _PUSHED if self._pushed else ""
 
     def _prove(self) -> None:
-        """Rely on what the robot has shown."""
+        """Drop the margins for properties that the robot has demonstrated."""
         unproven = self.unproven
         if unproven == Bounds():
             return

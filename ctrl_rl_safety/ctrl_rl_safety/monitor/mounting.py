@@ -1,8 +1,8 @@
-"""Finds the angle at which a lidar is mounted from how its echoes move while the robot drives.
+"""Estimate the mounting angle of a lidar from the motion of its echoes while the robot drives.
 
-Echoes of what stands, carried along by the robot's measured motion, must agree with the next scan. Where the lidar is
-turned by an angle that nobody told, they move aside instead, in proportion to the distance driven. So scans from a few
-places on a straight path are compared under each of several angles.
+Echoes of stationary objects, transformed by the robot's measured motion, must agree with the next scan. If the lidar is
+rotated by an unknown angle, the echoes shift sideways instead, in proportion to the distance driven. So this module
+compares scans from several points on a straight path under each of several angles.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _TURNED = 0.2
 _SURFACE = 0.3
 """Maximum distance of neighbouring echoes on one surface [m]."""
 _FARTHEST = 0.2
-"""Distance beyond which more does not count, so that what moves tells little [m]."""
+"""Distance at which disagreements are capped, so that moving objects have little influence [m]."""
 _FEWEST, _MOST_BEGIN, _MOST_END = 12, 240, 80
 """Fewest echoes of a scan, and the most that are used of the earlier and of the later one."""
 _BEFORE = 0.8
-"""Weight of earlier comparisons beside a new one."""
+"""Weight of earlier comparisons relative to a new one."""
 _PAIRS = 1.75
-"""Weight of comparisons at which an angle is believed."""
+"""Total weight of comparisons from which an angle is accepted."""
 _CLEARLY = 0.5
 """Disagreement at the angle relative to that at zero."""
 _WRONG, _RIGHT = 0.02, 0.015
@@ -42,7 +42,7 @@ _WRONG, _RIGHT = 0.02, 0.015
 def _disagreements(
     before: Array, linked: NDArray[np.bool_], after: Array, motion: Array, forward: float, angles: Array
 ) -> Array:
-    """Return how far echoes lie beside the surfaces of an earlier scan on average, for each angle (k,) [m].
+    """Return the mean distance of echoes from the surfaces of an earlier scan, for each angle (k,) [m].
 
     Args:
         before: Echoes of the earlier scan in the lidar's frame, in beam order (n, 2) [m].
@@ -71,20 +71,20 @@ def _disagreements(
                     dx, dy = dx - share * ex, dy - share * ey
                 least = min(least, dx * dx + dy * dy)
             gaps[i] = math.sqrt(least)
-        # What one of the scans does not see at all says nothing about the angle.
+        # Objects that only one of the scans sees give no information about the angle.
         out[k] = np.sort(gaps)[: max(1, (3 * len(gaps)) // 4)].mean()
     return out
 
 
 class Mounting:
-    """The angle at which the lidar is mounted beyond the one that was told.
+    """Mounting angle of the lidar relative to the configured one.
 
     Args:
         forward: Position of the lidar ahead of the robot's centre [m].
 
     Attributes:
-        yaw: Angle by which the lidar is turned [rad]; 0 as long as nothing speaks for another one.
-        problem: Reason for which the robot must stand; empty for none.
+        yaw: Angle by which the lidar is rotated [rad]; 0 without evidence for another angle.
+        problem: Reason why the robot must stop; empty if there is none.
     """
 
     def __init__(self, forward: float) -> None:
@@ -98,7 +98,7 @@ class Mounting:
         self._before = None
 
     def look(self, pose: Array, echoes: Array) -> None:
-        """Compare a scan with the one before.
+        """Compare a scan with the previous one.
 
         Args:
             pose: Pose of the robot at the time of the scan (3,) [m, m, rad].

@@ -1,4 +1,4 @@
-"""All that is watched of a robot: whether it moves as its model says, and where its lidar points."""
+"""Monitor of a robot's motion relative to its model and of its lidar's mounting angle."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Array = NDArray[np.float64]
 
 
 class RobotMonitor:
-    """Watches the motion of a robot and the angle of its lidar.
+    """Monitor of a robot's motion and of the mounting angle of its lidar.
 
     Args:
         stated: Model of the robot.
         forward: Position of the lidar ahead of the robot's centre [m].
-        unproven_braking: Fraction of the braking not relied on before the robot has shown it.
-        unproven_delay: Delay beyond the stated one that is reckoned with before the robot has shown to be quicker [s].
+        unproven_braking: Fraction of the stated braking to discount until the robot has demonstrated it.
+        unproven_delay: Delay to add to the stated one until the robot has demonstrated a shorter one [s].
     """
 
     def __init__(
@@ -33,12 +33,12 @@ class RobotMonitor:
 
     @property
     def model(self) -> RobotModel:
-        """Model with the bounds that hold now."""
+        """Model with the current bounds."""
         return self.motion.model
 
     @property
     def problem(self) -> str:
-        """Reason for which the robot must stand; empty for none."""
+        """Reason why the robot must stop; empty if there is none."""
         return self.motion.problem or self.mounting.problem
 
     def forget(self) -> None:
@@ -47,14 +47,14 @@ class RobotMonitor:
         self.mounting.forget()
 
     def words(self) -> str:
-        """Return in words which bounds have grown; empty if none has."""
+        """Describe the bounds that have grown; empty if none has."""
         grown = differences(self.motion.grown.of(self.motion.stated), self.motion.stated)
         if not grown:
             return ""
         return "the robot is not as its model says: " + ", ".join(f"{name} {value}" for name, value in grown.items())
 
     def figures(self) -> dict[str, str]:
-        """Return the bounds that have grown, and what is not relied on yet, for diagnostics."""
+        """Return the bounds that have grown and the remaining margins, for diagnostics."""
         motion = self.motion
         out = differences(motion.grown.of(motion.stated), motion.stated)
         unproven = motion.unproven

@@ -1,4 +1,4 @@
-"""Compares the motion of the odometry's pose with its speeds: what they do not tell is slip, or a wrong odometry."""
+"""Compare the motion of the odometry's pose with its speeds; a difference means slip or faulty odometry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _SPAN = 1.0
-"""Time over which pose and speeds are compared [s]."""
+"""Time span of the comparison between pose and speeds [s]."""
 _ERROR, _RELATIVE = 0.03, 0.05
 """Error of the distance between two poses: a part [m], and a fraction of the path."""
 _OFFSET = 0.1
@@ -21,10 +21,10 @@ _LONGEST = 0.3
 
 
 class Slip:
-    """The motion of the pose beyond that of the speeds.
+    """Motion of the pose that the speeds do not explain.
 
     Attributes:
-        rate: Largest motion per second that no speed has told [m/s].
+        rate: Maximum unexplained motion per second [m/s].
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class Slip:
         self.forget()
 
     def forget(self) -> None:
-        """Begin again, because the pose has jumped."""
+        """Restart because the pose has jumped."""
         self._last: tuple[float, Array, float] | None = None
         self._apart, self._way = np.zeros(2), 0.0
         self._before: deque[tuple[float, Array, float, float]] = deque()

@@ -1,4 +1,4 @@
-"""Time along the shortest path round walls and obstacles: what a map alone knows of the way, without any dynamics."""
+"""Time along the shortest path around walls and obstacles, from the map alone and without dynamics."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _SPACING = 0.05
 _MOVES = [(i, j) for i, j in product(range(-2, 3), repeat=2) if math.gcd(i, j) == 1]
 """Steps to 16 neighbours, in nodes: paths are at most 2.8 % too long."""
 _BESIDE = 2.0
-"""Distance of a state from the nearest node with a path up to which it has a time [nodes]."""
+"""Maximum distance from a state to the nearest node with a path for the state to have a time [nodes]."""
 
 
 class GeodesicInSeconds:
     """Time along the shortest path to the goal that keeps the robot's radius from obstacles, at its maximum speed.
 
-    The path may turn on the spot and enters the goal with any heading: a lower bound that ignores the dynamics.
+    The path may turn on the spot and enter the goal with any heading, so the time is a lower bound without dynamics.
 
     Args:
         task: Task in an arena.
@@ -68,7 +68,7 @@ class GeodesicInSeconds:
 
 
 def _in_goal(problem: TimeToReachProblem) -> NDArray[np.bool_]:
-    """Return which nodes of the plane lie in the goal, whatever the rest of the state."""
+    """Return which nodes of the plane lie in the goal, regardless of the other states."""
     assert problem.clearance is not None
     axes = [problem.axes[k] for k in problem.clearance.axes]
     names = tuple(axis.name for axis in axes)

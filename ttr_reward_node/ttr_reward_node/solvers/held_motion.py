@@ -43,7 +43,7 @@ class Room(NamedTuple):
     """Free space around the start states of steps.
 
     Attributes:
-        below, above: Distances (k, 1, n) [cells] to the limits at which a step is truncated; infinite for none.
+        below, above: Distances (k, 1, n) [cells] to the limits at which a step is truncated; infinite without a limit.
     """
 
     below: Array

@@ -226,10 +226,10 @@ class RecordedDrives:
     """Recorded drives of a task.
 
     Attributes:
-        task: Task that was driven.
-        transitions: Observations, actions, rewards and what came of them, those of an episode in order.
+        task: Task of the drives.
+        transitions: Observations, actions, rewards and next observations, in order within each episode.
         bags: Names of the bags.
-        refusal: Why nothing may be learnt by value from them, whose walls are not the task's; empty where it may.
+        refusal: Reason why value functions do not apply, i.e. walls that differ from the task's; empty if they apply.
     """
 
     task: NavigationTask

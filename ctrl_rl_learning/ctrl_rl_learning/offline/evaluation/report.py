@@ -149,7 +149,7 @@ def _modelled(
 
 
 def _around(numbers: Array, random: np.random.Generator) -> Estimate:
-    """Return the mean of numbers (models, episodes), and the interval that holds those of both kinds of models."""
+    """Return the mean of numbers (models, episodes), and an interval that covers those of both kinds of models."""
     kinds = [estimate(half, random) for half in np.split(numbers, 2)]
     return Estimate(float(numbers.mean()), min(kind.low for kind in kinds), max(kind.high for kind in kinds))
 

@@ -121,7 +121,7 @@ def coverage(own: NDArray[np.float32], cloned: NDArray[np.float32], given: NDArr
 
 
 def spread_of(transitions: Transitions, cloned: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the spread (2,) of the driver's actions around those of his clone (N, 2)."""
+    """Return the standard deviation (2,) of the driver's actions from those of a clone (N, 2)."""
     return np.maximum((transitions.actions - cloned).std(axis=0), _SPREAD)
 
 

@@ -218,7 +218,7 @@ def _walls_of_episodes(walls: Mapping[int, EpisodeWalls], task: NavigationTask) 
 
 
 def _is_corner(place: Place) -> bool:
-    """Return whether a place may be a corner of the file's wall that beams miss by an error of the pose."""
+    """Return whether a missing wall is small enough to be a corner that beams miss because of pose errors."""
     return place.kind == "missing" and max(place.size) < _CORNER
 
 

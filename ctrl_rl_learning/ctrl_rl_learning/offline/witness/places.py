@@ -88,12 +88,12 @@ class Place:
 
 
 def find_places(beams: Beams, world: World, reach: MoverReach) -> tuple[Place, ...]:
-    """Return where beams contradict a file's world, those that most beams show first.
+    """Return the places where beams contradict a task file's world, those with the most beams first.
 
     Args:
         beams: Beams with their votes.
         world: Walls of the file.
-        reach: Where movers of the file may stand: what ends there contradicts nothing.
+        reach: Area that the file's movers can reach; beams that end there are no contradiction.
     """
     if not len(beams):
         return ()
