@@ -132,8 +132,8 @@ class Potential(Protocol):
 class TimeToReach:
     """Time to reach as a reward, for `train` and the wrapper `TimeToReachReward`.
 
-    A state outside the grid gets the value of the nearest state on it, e.g. if the robot is faster than the grid's limit.
-    A state that cannot reach the goal (phi = +inf) counts as no progress.
+    A state outside the grid, e.g. of a robot faster than the grid's limit, gets the value of the nearest state on it. A
+    state that cannot reach the goal (phi = +inf) counts as no progress.
 
     >>> import ctrl_rl
     >>> value = ctrl_rl.solve("car_ttr", counts=(41, 41, 24))
