@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_bags.datasets import MessageMaker
+from ctrl_rl_bags.datasets import MessageMaker, ScanLayout
 from ctrl_rl_safety.cli.identify import main
+from numpy.typing import NDArray
 
 from ctrl_rl_bags import BagWriter
 from ctrl_rl_core import load_navigation_task, make_odometry
@@ -24,11 +25,16 @@ from sim_bridge import OdometryReading, SimulatedWorld, SimulationOptions
 
 KNOWN = RobotModel("known", 0.177, 0.6, 0.3, 1.5, 0.8, 1.2, 2.5, 0.05, 0.15)
 PERIOD = 0.05
-KINDS = {"/cmd_vel": "geometry_msgs/msg/Twist", "/odom": "nav_msgs/msg/Odometry"}
+KINDS = {
+    "/cmd_vel": "geometry_msgs/msg/Twist",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/scan": "sensor_msgs/msg/LaserScan",
+}
+LAYOUT = ScanLayout(beams=90, angle_min=0.0, angle_increment=0.0698, range_min=0.1, range_max=5.0)
 
 
 class Recording:
-    """Bag of commands and odometry."""
+    """Bag of commands, odometry and scans."""
 
     def __init__(self, folder: Path, topics: tuple[str, ...] = tuple(KINDS)) -> None:
         self.writer, self._make = BagWriter(folder), MessageMaker()
@@ -39,13 +45,20 @@ class Recording:
         stamp = round(1e9 * time)
         self.writer.write("/cmd_vel", self._make.command(stamp, (v, omega), KINDS["/cmd_vel"]), 10**12 + stamp)
 
+    def scan(self, time: float, lost: NDArray[np.bool_]) -> None:
+        stamp, ranges = round(1e9 * time), np.where(lost, np.inf, 2.0).astype(np.float32)
+        self.writer.write("/scan", self._make.scan(stamp, ranges, LAYOUT), 10**12 + stamp)
+
     def odometry(self, time: float, reading: OdometryReading) -> None:
         stamp, numbers = round(1e9 * time), make_odometry(reading.pose, reading.velocity)
         self.writer.write("/odom", self._make.odometry(stamp, numbers), 10**12 + stamp)
 
 
-def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]], hold: float = 1.5) -> Path:
-    """Drive a simulated robot with commands, each for a duration [s], and record it."""
+def record(
+    folder: Path, model: RobotModel, commands: list[tuple[float, float]], hold: float = 1.5, lost: float = 0.0
+) -> Path:
+    """Drive a simulated robot with commands, each for a duration [s], and record it with a share of beams lost."""
+    random = np.random.default_rng(0)
     world = SimulatedWorld(
         room("boxes", "turtlebot2", dataclasses.replace(model, speed=1.0), 0),
         options=SimulationOptions(engine="planar", rate=200, motor_lag=MOTOR_LAG),
@@ -57,6 +70,7 @@ def record(folder: Path, model: RobotModel, commands: list[tuple[float, float]],
                 now = world.elapsed
                 recording.odometry(now, world.odometry())
                 recording.command(now, v, omega)
+                recording.scan(now, random.random(LAYOUT.beams) < lost)
                 base.send(now, np.array((v, omega)))
                 for _ in range(round(PERIOD * 200)):
                     world.command(0, base.advance(world.elapsed))
@@ -73,13 +87,16 @@ def test_constants_that_are_known_are_found_within_a_tenth(
     track: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     known = dataclasses.replace(KNOWN, track=track)
-    bag, file = record(tmp_path / "drive", known, [*DRIVE, (0.0, 0.0)]), tmp_path / "mine.yaml"
+    bag, file = record(tmp_path / "drive", known, [*DRIVE, (0.0, 0.0)], lost=0.2), tmp_path / "mine.yaml"
     assert main([str(bag), "--radius", "0.177", "--track", str(track), "--output", str(file)]) == 0
     found = find_model(str(file))
     for name in ("speed", "reverse_speed", "turn_rate", "acceleration", "braking", "turn_acceleration", "delay"):
         assert getattr(found, name) == pytest.approx(getattr(KNOWN, name), rel=0.1), name
     assert found.disturbance < 0.02
-    assert "of the variance" in capsys.readouterr().out
+    assert found.missing_rate == pytest.approx(0.2, abs=0.03)
+    out = capsys.readouterr().out
+    assert "of the variance" in out
+    assert "beams missed the surface that they hit" in out
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from ctrl_rl_core.command import FileToWrite, FiniteNumber, make_command
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.identification.drive import STEP, read_drives
 from ctrl_rl_safety.identification.fit import fit_drives
+from ctrl_rl_safety.identification.missing import Missing, read_missing
 from ctrl_rl_safety.models.robot_model import UNITS, RobotModel
 
 _MUCH = 0.1
@@ -30,7 +31,8 @@ class Identify:
     """Measure a robot's acceleration, braking, turn acceleration, delay, top speeds and disturbance from a bag.
 
     The bag must contain commands and odometry of a drive of at least half a minute with starts, stops, turns and top
-    speeds. Values that a drive does not reveal (radius, lidar errors) are options.
+    speeds. Values that a drive does not reveal (radius, lidar errors) are options. If the bag has scans, they show how
+    often the lidar misses a surface.
     """
 
     bag: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BAG")]
@@ -49,6 +51,8 @@ class Identify:
     """Bound of the position error of lidar echoes [m]."""
     scan_age: FiniteNumber = 0.0
     """Bound of the time by which an echo is older than its scan's stamp [s]."""
+    missing_rate: FiniteNumber = 0.1
+    """Probability that a scan misses what its beams hit; more if the bag's scans show more."""
 
 
 def _identify(options: Identify) -> int:
@@ -59,12 +63,15 @@ def _identify(options: Identify) -> int:
     fit = fit_drives(drives, options.track)
     measured = {each: getattr(fit, each) for each in _MEASURED}
     given = {each: getattr(options, each) for each in ("range_error", "scan_age", "track")}
-    model = RobotModel(name, options.radius, **measured, **given)
+    missing = read_missing(options.bag)
+    rate = max(options.missing_rate, 0.0 if missing is None else missing.bound)
+    model = RobotModel(name, options.radius, **measured, **given, missing_rate=rate)
     model.save(options.output)
     seconds = STEP * sum(len(each.speeds) for each in drives)
     print(f"{seconds:.1f} s of commands and odometry; the model leaves {fit.error:.1%} of the variance")
     for each in _MEASURED:
         print(f"{each:<18} {getattr(model, each):8.4g} {UNITS[each]}")
+    print(_lidar(missing, rate))
     told = max(float(np.abs(each.commands[:, 0]).max()) for each in drives)
     if told > 1.1 * max(fit.speed, fit.reverse_speed):
         print(f"note: commands reached {told:.3g} m/s, the robot did not")
@@ -72,6 +79,14 @@ def _identify(options: Identify) -> int:
         print("note: the robot deviates from the model: drive on an even floor, without other commands")
     print(f"written to {options.output}")
     return 0
+
+
+def _lidar(missing: Missing | None, rate: float) -> str:
+    if missing is None:
+        return f"missing_rate       {rate:8.4g}   as given: the bag has too few scans to measure it"
+    return (
+        f"missing_rate       {rate:8.4g}   {missing.missed} of {missing.beams} beams missed the surface that they hit"
+    )
 
 
 main = make_command("identify", Identify, _identify)
