@@ -34,7 +34,7 @@ class Options:
     """Count contacts of filtered robots that are worse than their models; 1 if one happens that must not."""
 
     episodes: int = 50
-    """Number of episodes of each robot with each fault."""
+    """Number of episodes of each robot with the fault that the monitor must bear; a fifth of it with the others."""
     seed: int = 0
     """Seed of the first episode; the others follow it."""
     robots: tuple[str, ...] = tuple(ROBOTS)
@@ -66,9 +66,8 @@ class Condition:
 
     @property
     def promised(self) -> bool:
-        """Whether no contact may happen: within what the monitor expects, at the speed of somebody who walks."""
-        within = self.fault.braking >= WORSE.braking and self.fault.delay <= WORSE.delay and not self.fault.begins
-        return self.monitored and within and self.speed <= WALKING
+        """Whether no contact may happen: what the monitor must bear, at the speed of somebody who walks."""
+        return self.monitored and self.fault is WORSE and self.speed <= WALKING
 
 
 def main() -> int:
@@ -81,11 +80,11 @@ def main() -> int:
         return EXIT_USAGE
     seeds = range(options.seed, options.seed + options.episodes)
     conditions = list(_conditions(options.robots))
-    bar = tqdm(total=len(seeds) * len(conditions), desc="wrong_model", unit=" episodes", disable=None)
+    bar = tqdm(desc="wrong_model", unit=" episodes", disable=None)
     rides: dict[Condition, list[Ride]] = {each: [] for each in conditions}
     with bar:
         for each in conditions:
-            for seed in seeds:
+            for seed in seeds if each.promised else seeds[: math.ceil(0.2 * len(seeds))]:
                 rides[each].append(ride(each.robot, seed, each.fault, each.speed, each.monitored))
                 bar.update()
     print(table(rides))
