@@ -8,6 +8,8 @@
     runs = ctrl_rl.drive(task, policy, seeds=range(100), filter="safety")
     policy.save("mine.safetensors")
 
+Gymnasium makes the tasks by name: `gymnasium.make("ctrl_rl.environments:ctrl_rl/car_ttr-v0")`, `make_vec` for a fleet.
+
 A name is imported when it is first used: a robot without torch, a simulator or ROS can import the package.
 """
 
