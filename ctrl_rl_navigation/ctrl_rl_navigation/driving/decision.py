@@ -45,7 +45,7 @@ class NavigatorOptions:
         tolerance: Distance at which the goal counts as reached [m].
         heading_tolerance: Tolerance of the final heading [rad].
         memory: Time after which an obstacle that was seen only briefly, or before the current goal, is dropped [s].
-        max_detour: Time that unmapped obstacles may add to the way before the robot stands [s].
+        max_detour: Maximum time that unmapped obstacles may add to the drive before the robot stops [s].
         period: Control period [s].
         delay: Time from a command to its effect, plus the time until the next one [s].
         deceleration: Braking deceleration of the robot [m/s^2].

@@ -1,4 +1,4 @@
-"""The monitor of the robot beside its filter: takes what the node hears and sends, and gives the filter its bounds."""
+"""Connect the safety filter with the robot's monitor, which gets the node's inputs and outputs and sets the bounds."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Array = NDArray[np.float64]
 
 
 class Monitoring:
-    """A filter and the monitor of its robot, if one is wanted.
+    """A filter with the optional monitor of its robot.
 
     Args:
         safety: Filter that uses the bounds.
         settings: Values of `FILTER_PARAMETERS`.
 
     Attributes:
-        fault: Reason for which the robot must stand; empty for none.
+        fault: Reason why the robot must stop; empty if there is none.
     """
 
     def __init__(self, safety: SafetyFilter, settings: Mapping[str, Any]) -> None:
@@ -42,13 +42,13 @@ class Monitoring:
             self._monitor.motion.sent(now, command)
 
     def forget(self) -> None:
-        """Begin again, because the odometry frame has jumped."""
+        """Restart because the odometry frame has jumped."""
         self._safety.forget()
         if self._monitor is not None:
             self._monitor.forget()
 
     def measure(self, now: float, reading: Reading, odometry: Array) -> None:
-        """Compare the motion with the model, and let the filter use the bounds that hold now.
+        """Compare the motion with the model, and update the filter's bounds.
 
         Args:
             now: Steady time [s].
@@ -56,7 +56,7 @@ class Monitoring:
             odometry: Values of the message (13,), see `ODOMETRY_NAMES`.
         """
         monitor = self._monitor
-        if monitor is None or self._settings["dry_run"]:  # somebody else commands the robot
+        if monitor is None or self._settings["dry_run"]:  # another node commands the robot
             return
         monitor.motion.measure(now - reading.age, reading.pose, float(odometry[V]), float(odometry[OMEGA_Z]))
         self.fault = monitor.problem
@@ -67,14 +67,14 @@ class Monitoring:
                 self.fault = str(error)
 
     def look(self, pose: Array, echoes: Array) -> None:
-        """Compare a scan with those before; see `Mounting.look`."""
+        """Compare a scan with earlier ones, see `Mounting.look`."""
         if self._monitor is not None:
             self._monitor.mounting.look(pose, echoes)
 
     def words(self) -> str:
-        """Return in words which bounds have grown; empty if none has."""
+        """Describe the bounds that have grown; empty if none has."""
         return "" if self._monitor is None else self._monitor.words()
 
     def figures(self) -> dict[str, str]:
-        """Return the bounds that have grown for diagnostics."""
+        """Return the bounds that have grown, for diagnostics."""
         return {} if self._monitor is None else self._monitor.figures()

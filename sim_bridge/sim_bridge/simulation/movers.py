@@ -33,12 +33,12 @@ class MoverStates:
 
 
 class MoverCourse:
-    """A mover on its planned path, step by step: it starts, waits for robots and jumps back as its plan says.
+    """Motion of one mover along its planned path, with the plan's start, waiting for robots, and jump to the start.
 
     Attributes:
-        plan: Its plan.
-        position: Its position [m].
-        velocity: Its velocity in the last step [m/s].
+        plan: Plan of the mover.
+        position: Position of the mover [m].
+        velocity: Velocity in the last step [m/s].
     """
 
     def __init__(self, plan: MoverPlan, rate: int, robot_radius: float) -> None:
@@ -55,7 +55,7 @@ class MoverCourse:
         self._steps, self._started = 0, False  # steps since its start
 
     def advance(self, time: float, robots: Sequence[Pair], top_speed: float) -> Pair:
-        """Move by one step, and return where it begins: behind a jump where there is one [m].
+        """Move by one step, and return the step's start position [m], which follows a jump if there is one.
 
         Args:
             time: Time since the start of the episode [s].
@@ -78,7 +78,7 @@ class MoverCourse:
         return here
 
     def _blocked(self, there: Pair, robots: Sequence[Pair]) -> bool:
-        """Return whether moving on would bring it too close to a robot."""
+        """Return whether the next step would bring the mover too close to a robot."""
         return any(math.dist(there, robot) < min(self._least, math.dist(self.position, robot)) for robot in robots)
 
 

@@ -39,7 +39,7 @@ class Replay(NamedTuple):
 
     @property
     def agreement(self) -> float:
-        """Correlation of what the pieces earn, -1 to 1."""
+        """Correlation between the returns of recorded and replayed pieces, -1 to 1."""
         return correlation(self.replayed, self.earned)
 
 

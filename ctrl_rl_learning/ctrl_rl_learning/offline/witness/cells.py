@@ -1,4 +1,4 @@
-"""How often beams ended in the cells of a grid, and how often they passed through."""
+"""Count for each cell of a grid how many beams end in it and how many pass through it."""
 
 from __future__ import annotations
 
