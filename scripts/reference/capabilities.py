@@ -17,7 +17,7 @@ _HEAD = """# What each command takes
 
 Each command that is given a task, and each kind of task.
 
-- `yes`: it works. The table is made from the code; the command asks the same before it begins.
+- `yes`: it works. The table comes from the code, which each command uses to check its task.
 - A part's name: it works where the task file has that part.
 - `no`: it refuses in one line. The reasons are below.
 

@@ -12,8 +12,8 @@ from workspace import Executable, executables
 
 _HEAD = """# Commands
 
-What each command answers to `--help`. Wrong usage is one line and exit code 2; a failure is one line and another code
-than 0. Nodes are commands too: [parameters](parameters.md) has theirs as tables.
+This page shows the `--help` of each command. Wrong usage gives one line and exit code 2; a failure gives one line and
+another non-zero code. Nodes are commands, too: [parameters](parameters.md) lists theirs in tables.
 """
 
 

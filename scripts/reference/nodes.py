@@ -24,14 +24,14 @@ _OWN = {"/rosout", "/parameter_events", "/clock"}
 _OWN_TYPES = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 _PARAMETERS = """# Parameters
 
-Every parameter of every node, from the tables that the nodes check them by. `ros2 run PACKAGE NODE --help` prints the
-same, `ros2 param describe` too. Set one by `--ros-args -p NAME:=VALUE` or a `--params-file`; `live` ones also by
+Every parameter of every node, from the tables that the nodes use for their checks. `ros2 run PACKAGE NODE --help` and
+`ros2 param describe` print the same. Set one by `--ros-args -p NAME:=VALUE` or a `--params-file`; `live` ones also by
 `ros2 param set` while the node runs. [What every node does](../nodes.md) says how values are checked.
 """
 _TOPICS = """# Topics and services
 
-What each node publishes, subscribes and serves, as the ROS graph shows it of the running node. Names are relative:
-they can be remapped, and are put in a namespace with the node. `/diagnostics` is absolute. A name that begins with the
+Each node's publications, subscriptions and services, from the ROS graph of the running node. Names are relative:
+they can be remapped, and follow the node's namespace. `/diagnostics` is absolute. A name that begins with the
 node's own name, `/sim_bridge/...`, is private to it (`~/...`). [Messages](messages.md) has the types of `ctrl_rl_msgs`.
 """
 

@@ -14,8 +14,8 @@ from pydantic_core import PydanticUndefined
 
 _HEAD = """# File schemas
 
-The classes that check the suite's files, each key with its type. A key that is not listed is refused, a wrong value as
-well, in one line that names file and key. [Tasks](../tasks.md) shows a whole task file and how quantities are written;
+The classes that validate the suite's files, with the type of each key. Unknown keys and wrong values are refused in one
+line that names file and key. [Tasks](../tasks.md) shows a whole task file and how to write quantities;
 [files](../files.md) has limits and digests.
 """
 _MODULES = {
