@@ -65,7 +65,7 @@ class Navigator:
         self._command = np.zeros(2)
         self._solved_at = self._looked_at = -math.inf
         self._progress, self._ever = Progress(), _NO_PATH
-        self._stuck = self._taken = self._holds = self._looks_again = False
+        self._stuck = self._sees_anew = self._taken = self._holds = self._looks_again = False
 
     @property
     def goal(self) -> Goal | None:
@@ -155,7 +155,7 @@ class Navigator:
         """
         if self.layer is not None:
             self.layer.update(now, pose, points, empty, close_to_walls=self._stuck)
-            self._stuck = False
+            self._sees_anew, self._stuck = self._sees_anew or self._stuck, False
 
     def decide(self, now: float, pose: Array, points: Array) -> Decision:
         """Return the decision for this period.
@@ -222,7 +222,7 @@ class Navigator:
     def _renew(self, now: float) -> None:
         """Start solving the value again with the present obstacles."""
         assert self.layer is not None
-        self._solved_at = now
+        self._solved_at, self._sees_anew = now, False
         self._keeper.renew(self.layer.points())
 
     def _is_there(self, pose: Array, goal: Goal, left: float) -> bool:
@@ -286,7 +286,8 @@ class Navigator:
         if self._keeper.at_work or now - self._solved_at < _SOLVE_PERIOD:
             return
         points, cell = self.layer.points(), value.map.resolution
-        if on_the_way(points, self.path, self.limits.room, cell) or have_gone(self._keeper.known, points, cell):
+        closed = on_the_way(points, self.path, self.limits.room, cell)
+        if self._sees_anew or closed or have_gone(self._keeper.known, points, cell):
             self._renew(now)
 
 

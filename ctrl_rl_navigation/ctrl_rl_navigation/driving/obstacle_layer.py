@@ -35,11 +35,14 @@ _BINS, _BESIDE = 360, 3
 _NONE: Array = np.empty((0, 2))
 _NEVER = -1e9
 """Time at which scans last showed an obstacle that they do not show any more [s]: long ago."""
-_CELL = np.dtype([("cell", np.int64), ("first", float), ("last", float), ("passes", np.int64), ("held", np.bool_)])
+_CELL = np.dtype([("cell", np.int64), ("first", float), ("last", float), ("passes", np.int64), ("held", float)])
 
 
 class ObstacleLayer:
-    """Cells with an obstacle: when scans first and last showed each, and how many passed through it since.
+    """Cells with an obstacle.
+
+    Each has the times at which scans first and last showed it, the number of scans that passed through it since, and
+    the time until which it is held whatever they show.
 
     Args:
         map_: Map with which echoes are compared.
@@ -66,7 +69,7 @@ class ObstacleLayer:
 
     def forget(self, now: float, age: float) -> bool:
         """Drop obstacles that no scan has shown for some time [s], held ones too, and return whether there were any."""
-        self._stored["held"] = False
+        self._stored["held"] = 0.0
         recent = now - self._stored["last"] <= age
         self._stored = self._stored[recent]
         return not bool(recent.all())
@@ -75,7 +78,7 @@ class ObstacleLayer:
         """Keep obstacles (n, 2) [m] until they are forgotten, whatever scans show; those that are gone come back."""
         cells = np.unique(self._cells(points)[0])
         self._insert(np.setdiff1d(cells, self._stored["cell"], assume_unique=True), _NEVER)
-        self._stored["held"] |= np.isin(self._stored["cell"], cells)
+        self._stored["held"][np.isin(self._stored["cell"], cells)] = math.inf
 
     def update(
         self, now: float, pose: Array, points: Array, empty: Array = _NONE, close_to_walls: bool = False
@@ -87,18 +90,26 @@ class ObstacleLayer:
             pose: Pose of the robot at the scan (3,) [m, m, rad].
             points: Echoes in the robot's frame (n, 2) [m].
             empty: Ends of the beams without an echo in the robot's frame (m, 2) [m].
-            close_to_walls: Whether echoes close to a mapped wall count as obstacles too.
+            close_to_walls: Whether echoes close to a mapped wall count as obstacles too, where the given pose has them:
+                that is where they stop a robot with this pose.
         """
-        pose, fits = align(self._map, self._clearance, pose, points)
-        self._fade(now, pose, points, empty)
+        aligned, fits = align(self._map, self._clearance, pose, points)
+        self._fade(now, aligned, points, empty)
+        cells, distance = self._echoes(pose if close_to_walls else aligned, points)
+        fixed, turned = (_ALIGNED, _HEADING_ALIGNED) if fits else (_ERROR, _HEADING_ERROR)
+        error = 0.0 if close_to_walls else fixed + turned * distance
+        self._store(now, cells[self._clearance.ravel()[cells] > error])
+        if close_to_walls:
+            self._stored["held"][self._stored["last"] == now] = now + self._memory
+
+    def _echoes(self, pose: Array, points: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return the cells of near echoes (n, 2) [m] on the map, and their distances [m]."""
         distance = np.hypot(points[:, 0], points[:, 1])
         near = distance < FARTHEST
         c, s = math.cos(pose[2]), math.sin(pose[2])
         x, y = points[near, 0], points[near, 1]
         cells, inside = self._cells(np.column_stack((pose[0] + c * x - s * y, pose[1] + s * x + c * y)))
-        fixed, turned = (_ALIGNED, _HEADING_ALIGNED) if fits else (_ERROR, _HEADING_ERROR)
-        error = 0.0 if close_to_walls else fixed + turned * distance[near][inside]
-        self._store(now, cells[self._clearance.ravel()[cells] > error])
+        return cells, distance[near][inside]
 
     def _cells(self, points: Array) -> tuple[NDArray[np.int64], Flags]:
         """Return the cells of the points (n, 2) [m] that lie on the map, and which do (n,)."""
@@ -130,7 +141,7 @@ class ObstacleLayer:
         stored["passes"][passed] += 1
         brief = stored["last"] - stored["first"] < _BRIEF
         gone = beyond | (stored["passes"] >= _PASSES) | (brief & (now - stored["last"] > self._memory))
-        self._stored = stored[stored["held"] | ~gone]
+        self._stored = stored[(stored["held"] > now) | ~gone]
 
     def _seen_through(self, pose: Array, points: Array, empty: Array) -> tuple[Flags, Flags]:
         """Return behind which obstacles all beams have echoes (n,), and through which all pass, some without one (n,).
