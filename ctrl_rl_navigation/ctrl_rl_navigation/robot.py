@@ -10,6 +10,8 @@ from ctrl_rl_navigation.errors import NavigationError
 
 MARGIN = 0.025
 """Distance to obstacles in addition to the robot's size [m]."""
+_ALL_AROUND = 6.1
+"""Least field of view of a lidar that sees all around [rad]."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class DriveLimits:
         margin: Additional distance to obstacles [m].
         length: Length of a rectangular robot [m]; 0 for a round one.
         width: Width of a rectangular robot [m]; 0 for a round one.
+        reverse_speed: Maximum speed backwards, to make room for people [m/s]; 0 for never.
 
     Raises:
         NavigationError: A number is not finite or not positive, or only one of length and width is given.
@@ -38,6 +41,7 @@ class DriveLimits:
     margin: float = MARGIN
     length: float = 0.0
     width: float = 0.0
+    reverse_speed: float = 0.0
 
     def __post_init__(self) -> None:
         shape = () if self.length == self.width == 0.0 else ("length", "width")
@@ -60,12 +64,15 @@ class DriveLimits:
 def limits_of(robot: Robot, margin: float = MARGIN) -> DriveLimits:
     """Return the size and planning limits of a robot, with a margin to obstacles [m].
 
+    It makes room backwards only if its lidar sees what is there.
+
     Raises:
         NavigationError: The robot has no wheels.
     """
     if robot.kind != "differential_drive":
         raise NavigationError(f"robot '{robot.name}' does not drive on wheels")
-    plan = robot.plan
+    plan, lidar = robot.plan, robot.lidar.spec
+    sees_back = lidar is not None and lidar.field.length > _ALL_AROUND
     return DriveLimits(
         plan.speed,
         plan.turn_rate,
@@ -75,4 +82,5 @@ def limits_of(robot: Robot, margin: float = MARGIN) -> DriveLimits:
         margin,
         robot.length,
         robot.width,
+        min(robot.reverse_speed, plan.speed) if sees_back else 0.0,
     )

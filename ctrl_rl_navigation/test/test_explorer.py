@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from ctrl_rl_navigation.driving.explorer import Explorer, ExplorerOptions, StuckWatch
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, Choice, LookAhead
-from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_solver import MapSolver
@@ -45,18 +44,6 @@ def test_a_map_grows_from_scans_and_forgets_what_beams_go_through() -> None:
     for _ in range(20):
         map_.see(*look())
     assert not map_.occupancy().cells.any()
-
-
-def test_only_what_moves_has_a_velocity() -> None:
-    moving = MovingEchoes()
-    for step in range(12):
-        now = 0.05 * step
-        origin, ends, echoes = look((3.0, 1.0 - now), (2.0, 2.0))
-        velocities = moving.update(now, origin, ends[echoes])
-    goes = ends[echoes][:, 0] > 2.5
-    np.testing.assert_allclose(velocities[goes], [(0.0, -1.0)] * int(goes.sum()), atol=0.15)
-    assert not velocities[~goes].any()
-    assert len(moving.update(1.0, origin, np.empty((0, 2)))) == 0
 
 
 def posts_beside_a_gap(width: float) -> np.ndarray:

@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, TURNS_AFTER, LookAhead
-from ctrl_rl_navigation.driving.moving_echoes import MovingEchoes
 from ctrl_rl_navigation.driving.scan_map import ScanMap
 from ctrl_rl_navigation.errors import NavigationError
+from ctrl_rl_navigation.people import Tracker
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import MapSolver
 from ctrl_rl_navigation.values.map_value import MapValue
 
 Array = NDArray[np.float64]
 
-_FASTEST = 2.0
-"""Maximum speed of moving obstacles that the time-dependent look-ahead considers [m/s]."""
 _BESIDE = 1.0
 """Distance within which mapped obstacles outside the scan, behind the robot, are considered [m]."""
 _THIN = 0.03
@@ -94,9 +92,8 @@ class Explorer:
             REVERSING,
         )
         self.value: MapValue | None = None
-        self._moving = MovingEchoes()
-        self._echoes: Array = np.empty((0, 4))
-        self._horizon = settings.horizon
+        self._tracker = Tracker()
+        self._echoes: Array = np.empty((0, 2))
         self._command, self._plan = np.zeros(2), np.zeros(4)
         self._watch = StuckWatch()
         self._seen, self._solved_at = False, -math.inf
@@ -114,11 +111,9 @@ class Explorer:
             ends: End points of the beams, in beam order (n, 2) [m].
             echoes: Whether each beam hit something (n,).
         """
-        self._seen, points = True, ends[echoes]
-        velocities = self._moving.update(now, origin, points)
-        self._echoes = np.hstack((points, velocities))
-        stands = echoes.copy()
-        stands[echoes] = (velocities == 0.0).all(axis=1)
+        self._seen, stands = True, echoes.copy()
+        stands[echoes] = ~self._tracker.update(now, origin, ends, echoes)
+        self._echoes = ends[stands]
         self._map.see(origin, ends, stands)
 
     def decide(self, now: float, pose: Array) -> Array:
@@ -135,9 +130,9 @@ class Explorer:
             self._solve()
         if self.value is None:
             return np.zeros(2)
-        around = self._around(pose)
-        stuck = self._watch.stuck(now, pose) and not around[:, 2:].any()  # waiting is useful if something is moving
-        choice = self._ahead.choose(self.value, pose, self._command, around, self._plan, stuck)
+        movers = self._tracker.movers()
+        stuck = self._watch.stuck(now, pose) and not len(movers)  # waiting is useful if something is moving
+        choice = self._ahead.choose(self.value, pose, self._command, self._around(pose), self._plan, stuck, movers)
         self._plan = choice.plan
         return choice.command
 
@@ -150,17 +145,13 @@ class Explorer:
             return
 
     def _around(self, pose: Array) -> Array:
-        """Return echoes near the robot in its frame (n, 4) [m, m, m/s, m/s], with mapped obstacles outside the scan."""
-        near = self._echoes[
-            np.hypot(*(self._echoes[:, :2] - pose[:2]).T) < self._ahead.reach + _FASTEST * self._horizon
-        ]
-        cells = np.floor(near[:, :2] / _THIN).astype(np.int64)
+        """Return echoes near the robot in its frame (n, 2) [m], with mapped obstacles outside the scan."""
+        near = self._echoes[np.hypot(*(self._echoes - pose[:2]).T) < self._ahead.reach]
+        cells = np.floor(near / _THIN).astype(np.int64)
         _, first = np.unique(cells[:, 0] * 1_000_003 + cells[:, 1], return_index=True)
-        kept = self._map.points_near(pose[:2], _BESIDE)
-        known = np.concatenate((near[first], np.hstack((kept, np.zeros_like(kept)))))
+        known = np.concatenate((near[first], self._map.points_near(pose[:2], _BESIDE)))
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        turn = np.array(((c, -s), (s, c)))
-        points = np.hstack(((known[:, :2] - pose[:2]) @ turn, known[:, 2:] @ turn))
+        points = (known - pose[:2]) @ np.array(((c, -s), (s, c)))
         seen = np.arange(len(points)) < len(first)
         return np.asarray(points[seen | (points[:, 0] < 0.0)], float)
 

@@ -1,7 +1,8 @@
-"""Chooses a command by the value at the end of short roll-outs that avoid the echoes of the last scan.
+"""Chooses a command by the value at the end of short roll-outs that avoid the echoes of the last scan and movers.
 
 A candidate is a command held for some time, followed by driving straight ahead. Its cost is the duration of the
-roll-out, plus the time to reach from its end, plus the time to turn there into the value's descent direction. Commands
+roll-out, plus the time to reach from its end, plus the time to turn there into the value's descent direction. Where
+there are movers, their risk along the roll-out is added, and the delay that they cause from its end on. Commands
 change within the acceleration limits. This is the optimal control for the value over a finite set.
 """
 
@@ -14,12 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_navigation.driving.roll_out import Place, Rules, choose
+from ctrl_rl_navigation.people.movers import NOBODY, advanced, placed
+from ctrl_rl_navigation.people.space_time import NO_WINDOW, SpaceTime
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import EASE, SLOWEST, longest_time_beside
 from ctrl_rl_navigation.values.map_value import MapValue
 
 Array = NDArray[np.float64]
 
+LAG = 0.05
+"""Time that a robot takes to follow a command, beyond its delay [s]."""
 STEP = 0.1
 """Time step of a roll-out [s]."""
 HORIZON = 1.6
@@ -83,6 +88,7 @@ class LookAhead:
         self.limits, self._period = limits, period
         self._rules = Rules(
             limits.speed,
+            limits.reverse_speed,
             limits.turn_rate,
             limits.acceleration,
             limits.turn_acceleration,
@@ -97,6 +103,17 @@ class LookAhead:
             step,
             round(horizon / step),
         )
+        self._candidates = self._plans(speeds, turns_after)
+        # Among people it may also make room backwards.
+        back = (-limits.reverse_speed / limits.speed,) if limits.reverse_speed else ()
+        self._evasive = self._plans((*back, *speeds), turns_after)
+        self._last: Array | None = None
+        self._space_time = SpaceTime(limits, horizon)
+        self.reach = limits.speed * horizon + limits.gap + ease + math.hypot(0.5 * limits.length, 0.5 * limits.width)
+
+    def _plans(self, speeds: tuple[float, ...], turns_after: tuple[float, ...]) -> Array:
+        """Return candidates (n, 4) from speeds and turn rates as fractions of the maximum."""
+        limits, horizon = self.limits, self._rules.step * self._rules.steps
         held = [
             (speed * limits.speed, turn * limits.turn_rate, hold * horizon, after * limits.turn_rate)
             for speed in speeds
@@ -105,8 +122,7 @@ class LookAhead:
             for after in (turns_after if hold < 1.0 else (0.0,))
             if turn != after or hold == 1.0
         ]
-        self._candidates = np.array(held)
-        self.reach = limits.speed * horizon + limits.gap + ease + math.hypot(0.5 * limits.length, 0.5 * limits.width)
+        return np.array(held)
 
     def choose(
         self,
@@ -116,22 +132,24 @@ class LookAhead:
         points: Array,
         plan: Array | None = None,
         stuck: bool = False,
+        movers: Array = NOBODY,
     ) -> Choice:
         """Return the command to send.
 
-        If the plan of the last choice is given, its remainder is a candidate too. A robot whose best plan starts with a
-        short wait then continues that plan instead of waiting repeatedly. It may still wait repeatedly if a plan that
-        drives immediately would end at an obstacle, and one that waits first does not get that far: such a robot is
-        stuck.
+        If the plan of the last choice is given, its remainder is a candidate too; among movers it always is. A robot
+        whose best plan starts with a short wait then continues that plan instead of waiting repeatedly. It may still
+        wait repeatedly if a plan that drives immediately would end at an obstacle, and one that waits first does not
+        get that far: such a robot is stuck.
 
         Args:
             value: Time to reach the goal.
             pose: Pose x, y, theta in the map frame (3,) [m, m, rad].
             command: Last command sent (2,) [m/s, rad/s].
-            points: Echoes in the robot's frame (n, 2) [m], or with their velocities (n, 4) [m, m, m/s, m/s].
+            points: Echoes of what stands in the robot's frame (n, 2) [m].
             plan: Plan of the last choice (4,), one period ago, or None.
             stuck: Whether the robot is stuck; plans that drive immediately are then preferred to those that start by
                 standing or turning in place.
+            movers: Predicted movers in the map frame (m, 9), see `people.movers`.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]
@@ -151,16 +169,28 @@ class LookAhead:
             longest_time_beside(value.radius, self.limits),
         )
         near = points[np.hypot(points[:, 0], points[:, 1]) < self.reach]
-        if near.shape[1] == 2:
-            near = np.hstack((near, np.zeros_like(near)))
+        window, around = NO_WINDOW, NOBODY
+        if len(movers):
+            # A command takes effect later, when robot and movers have gone on.
+            late = self._rules.delay - self._period + LAG
+            movers = advanced(movers, late)
+            plan = self._last if plan is None else plan
+            standing = points @ np.array(((c, s), (-s, c))) + pose[:2]
+            window = self._space_time.window(value, pose, movers, standing)
+            theta = float(pose[2]) + 0.5 * late * float(command[1])
+            x, y = pose[:2] + late * float(command[0]) * np.array((math.cos(theta), math.sin(theta)))
+            around = placed(movers, float(x), float(y), float(pose[2]) + late * float(command[1]))
         motion = (float(command[0]), float(command[1]))
-        candidates = self._candidates if plan is None else np.vstack((self._candidates, self._rest(plan)))
+        candidates = self._evasive if len(movers) else self._candidates
+        if plan is not None:
+            candidates = np.vstack((candidates, self._rest(plan)))
         in_turn = (candidates[candidates[:, 0] != 0.0], candidates) if stuck else (candidates,)
         echoes = np.ascontiguousarray(near.T)
         most = np.array((self.limits.acceleration, self.limits.turn_acceleration)) * self._period
         for tried in in_turn:
-            best, cost = choose(value.times, place, echoes, self._rules, motion, tried)
+            best, cost = choose(value.times, window, place, echoes, around, self._rules, motion, tried)
             if best >= 0:
+                self._last = tried[best]
                 return Choice(np.clip(tried[best, :2], command - most, command + most), cost, tried[best])
         turn = float(np.clip(0.0, motion[1] - most[1], motion[1] + most[1]))
         return Choice(np.array((0.0, turn)), math.inf, np.zeros(4))

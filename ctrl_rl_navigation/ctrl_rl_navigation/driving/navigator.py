@@ -14,6 +14,7 @@ from ctrl_rl_navigation.driving.obstacle_changes import have_gone, on_the_way
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
 from ctrl_rl_navigation.driving.progress import PATIENCE, Progress
 from ctrl_rl_navigation.driving.value_keeper import Change, ValueKeeper
+from ctrl_rl_navigation.people import NOBODY
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import longest_time_beside
 from ctrl_rl_navigation.values.map_value import MapValue, path_length
@@ -157,13 +158,14 @@ class Navigator:
             self.layer.update(now, pose, points, empty, close_to_walls=self._stuck)
             self._sees_anew, self._stuck = self._sees_anew or self._stuck, False
 
-    def decide(self, now: float, pose: Array, points: Array) -> Decision:
+    def decide(self, now: float, pose: Array, points: Array, movers: Array = NOBODY) -> Decision:
         """Return the decision for this period.
 
         Args:
             now: Steady time [s].
             pose: Pose of the robot in the map frame (3,) [m, m, rad].
             points: Echoes of what stands in the robot's current frame (n, 2) [m].
+            movers: Predicted movers in the map frame (m, 9), see `people.movers`.
         """
         self.poll(now)
         if self._keeper.solver is None:
@@ -184,9 +186,9 @@ class Navigator:
             return stand(NavigatorState.BLOCKED, "an unmapped obstacle covers the goal")
         if not math.isfinite(left):
             return self._no_way(now, pose)
-        return self._drive(now, pose, points, left)
+        return self._drive(now, pose, points, left, movers)
 
-    def _drive(self, now: float, pose: Array, points: Array, left: float) -> Decision:
+    def _drive(self, now: float, pose: Array, points: Array, left: float, movers: Array) -> Decision:
         assert self.value is not None
         progress = self._progress
         self._stuck |= progress.note(now, pose[:2], left)
@@ -199,7 +201,7 @@ class Navigator:
             return stand(NavigatorState.BLOCKED, message)
         if progress.passes == 2:
             self._insist(now)
-        choice = self._ahead.choose(self.value, pose, self._command, points)
+        choice = self._ahead.choose(self.value, pose, self._command, points, movers=movers)
         if progress.tries > 1:
             message = f"no progress for {progress.tries * PATIENCE:.0f} s: something is in the way"
             return Decision(choice.command, NavigatorState.BLOCKED, message, left)
@@ -296,7 +298,8 @@ def warm_up(limits: DriveLimits) -> None:
     navigator = Navigator(limits, NavigatorOptions(inline=True))
     navigator.set_map(OccupancyMap(np.zeros((30, 60), np.int8), limits.room))
     navigator.set_goal(Goal((45.0 * limits.room, 15.0 * limits.room)))
+    someone = np.array(((12.0 * limits.room, 15.0 * limits.room, 0.0, 0.0, 0.2, 0.1, 0.0, 0.1, 1.0),))
     pose, echoes = np.array((10.0 * limits.room, 15.0 * limits.room, 0.0)), np.ones((30, 2))
     for now in (0.0, 1.5):
         navigator.see(now, pose, echoes)
-        navigator.decide(now, pose, echoes)
+        navigator.decide(now, pose, echoes, someone)

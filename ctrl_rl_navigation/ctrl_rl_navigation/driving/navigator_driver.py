@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ctrl_rl_core import ScanError, ScanGeometry, Sensors
 from ctrl_rl_navigation.driving.decision import Decision, NavigatorState
 from ctrl_rl_navigation.driving.navigator import Navigator
+from ctrl_rl_navigation.people import Watch
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ class NavigatorDriver:
     def __init__(self, navigator: Navigator, lidar_x: float, reach: float = math.inf) -> None:
         self.navigator, self._lidar_x, self._reach = navigator, lidar_x, reach
         self.decision = Decision(_STAND, NavigatorState.WAITING, "waiting for a map")
+        self._watch = Watch(lidar_x)
         self._echoes, self._seen_from = np.empty((0, 2)), _NOWHERE
 
     def see(self, sensors: Sensors) -> None:
@@ -45,6 +47,7 @@ class NavigatorDriver:
             points = view_scan(sensors.ranges, sensors.scan, math.inf, self._lidar_x).points
         except ScanError:
             return
+        points = points[~self._watch.see(sensors)]
         self._echoes = points[np.hypot(*points.T) < self._reach]
         self._seen_from = _place(sensors)
         if sensors.pose is not None:
@@ -61,7 +64,7 @@ class NavigatorDriver:
         x, y, yaw = (_place(sensors).inverse() @ self._seen_from).pose.tolist()
         c, s = math.cos(yaw), math.sin(yaw)
         echoes = self._echoes @ np.array(((c, s), (-s, c))) + (x, y)
-        self.decision = self.navigator.decide(sensors.time, sensors.pose, echoes)
+        self.decision = self.navigator.decide(sensors.time, sensors.pose, echoes, self._watch.movers(sensors))
         return self.decision.command
 
     def wait(self, now: float, problem: str, remaining_time: float = math.nan) -> Array:

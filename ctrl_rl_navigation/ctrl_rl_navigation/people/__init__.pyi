@@ -1,0 +1,4 @@
+from .movers import NOBODY as NOBODY
+from .space_time import SpaceTime as SpaceTime
+from .tracker import Tracker as Tracker
+from .watch import Watch as Watch
