@@ -219,3 +219,21 @@ def test_two_wheels_that_share_their_force_are_no_weak_brakes() -> None:
     monitor = Drive(stated, stated).go(at_random(stated, 3), 30.0)
     assert monitor.grown == Bounds()
     assert not monitor.problem
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(seed=st.integers(0, 10_000), robot=st.sampled_from(NAMES), delay=st.floats(0.0, 2.0))
+def test_whatever_is_measured_the_model_stays_one_of_a_robot(seed: int, robot: str, delay: float) -> None:
+    random, stated = np.random.default_rng(seed), replace(ROBOTS[robot], delay=delay)
+    monitor, time = ModelMonitor(stated), 0.0
+    for _ in range(200):
+        time += random.choice((0.0, 0.02, 0.02, 0.05, 1.0, -0.5))
+        size = 10.0 ** random.uniform(-3.0, 4.0)
+        if random.random() < 0.7:
+            monitor.sent(time, random.uniform(*stated.limits))
+        monitor.measure(time, size * random.standard_normal(3), *(size * random.standard_normal(2)))
+        if random.random() < 0.02:
+            monitor.forget()
+        assert monitor.model.braking >= 0.3 * stated.braking - 1e-9
+        assert monitor.model.delay >= stated.delay
+    assert monitor.problem

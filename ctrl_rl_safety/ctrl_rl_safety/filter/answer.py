@@ -11,16 +11,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ctrl_rl_safety.filter.certificate import AWAY, Situation, best_turn, certify, hold, hopeless
-from ctrl_rl_safety.filter.detour import detour
-from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.filter.manoeuvres import around, manoeuvre, stopping_time
+from ctrl_rl_safety.models.growth import Growth, fixed_growth, standing_growth
 from ctrl_rl_safety.models.motion import STANDS
-from ctrl_rl_safety.sets.distance_field import FAR, margin_at
+from ctrl_rl_safety.sets.distance_field import CAP, FAR, margin_at
 from ctrl_rl_safety.sets.recoverable_set import value_at
 
 Array = NDArray[np.float64]
 
 PASSED, CORRECTED, ESCAPING, UNBLOCKING = 1, 2, 3, 4
-_SPEEDS, _TURNS = 13, 15
+_SPEEDS, _TURNS = 7, 9
+_TRIES = 30
+"""Maximum number of commands to certify, so that an answer takes less than a millisecond."""
 _LAST = 0.05
 """Weight of the distance to the last command, used to break ties."""
 _RISE = 0.2
@@ -149,7 +151,12 @@ def _towards(
 
 @njit
 def _nearest(
-    sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float, wanted: tuple[float, float]
+    sit: Any,
+    ask: Any,
+    state: tuple[float, float, float, float, float],
+    t: float,
+    wanted: tuple[float, float],
+    clear: bool,
 ) -> Any:
     """Return the certified command nearest to a requested one, with margin and escape; margin < 0 for none.
 
@@ -164,13 +171,16 @@ def _nearest(
             dv, dw = (speeds[i] - wanted[0]) / wide_v, (turns[j] - wanted[1]) / wide_w
             ev, ew = (speeds[i] - ask.last[0]) / wide_v, (turns[j] - ask.last[1]) / wide_w
             costs[i * len(turns) + j] = math.sqrt(dv * dv + dw * dw) + _LAST * math.sqrt(ev * ev + ew * ew)
-    stands = abs(state[3]) < STANDS
+    stands, tries = abs(state[3]) < STANDS, 0
     for place in np.argsort(costs):
         command = (speeds[place // len(turns)], turns[place % len(turns)])
         # Keeps a robot stopped after a correction from moving because of scan noise.
-        needed = ask.hysteresis if stands and ask.corrected and command[0] != 0.0 else 0.0
+        needed = ask.hysteresis if stands and ask.corrected and not clear and command[0] != 0.0 else 0.0
         if hopeless(sit, state, command):
             continue
+        tries += 1
+        if tries > _TRIES:
+            break
         margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
         if margin < needed:
             continue
@@ -231,6 +241,24 @@ def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
 
 
 @njit
+def _local(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
+    """Return the situation without static echoes that the robot hardly comes near before it has stopped.
+
+    Searching in it takes a fraction of the time. What is found is certified among all echoes.
+    """
+    longest = max(ask.patience, sit.hold) * sit.motion.step
+    fastest = max(abs(state[3]), min(abs(state[3]) + ask.acceleration * longest, max(ask.fastest, -ask.slowest)))
+    stop = stopping_time(fastest, ask.braking, sit.lag)
+    way = fastest * (longest + sit.lag + 0.5 * stop + sit.motion.step)
+    extent = sit.rooms[0] + math.hypot(sit.core[0], sit.core[1])
+    grown = max(fixed_growth(t + longest + stop, sit.growth), standing_growth(t + longest + stop, sit.growth))
+    near = around(sit.obstacles, state[0], state[1], way + extent + grown + 2.0 * CAP)
+    return Situation(
+        near, sit.growth, sit.motion, sit.guide, sit.core, sit.rooms, sit.close, sit.hold, sit.turn_rate, sit.lag
+    )
+
+
+@njit
 def _smaller(sit: Any, by: float) -> Any:
     """Return the situation of a robot that is smaller by a distance on each side [m]."""
     core, rooms = sit.core, sit.rooms
@@ -276,11 +304,15 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
         margin, kind = certify(sit, state, t, (0.0, ask.turn), sit.hold, ask.first, 0.0)
         if margin >= 0.0:
             return Answer(0.0, ask.turn, UNBLOCKING, min(margin, first), value, kind, state)
-    wanted = (ask.raw[0], detour(sit, ask, state, t))
-    v, omega, margin, kind = _nearest(sit, ask, state, t, wanted)
+    way = manoeuvre(sit, ask, state, t)
+    near = _local(sit, ask, state, t)
+    v, omega, margin, kind = _nearest(near, ask, state, t, (way.v, way.omega), way.clear)
     if margin >= 0.0:
-        return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
-    v, omega, margin, kind = _braking(sit, ask, state, t)
+        margin, kind = certify(sit, state, t, (v, omega), sit.hold, kind, 0.0)
+        if margin >= 0.0:
+            return Answer(v, omega, CORRECTED, min(margin, first), value, kind, state)
+    v, omega, margin, kind = _braking(near, ask, state, t)
+    margin, kind = certify(sit, state, t, (v, omega), sit.hold, kind, max(margin, 0.0))
     if min(margin, first) < 0.0 and _needs_escape(sit, ask, state):
         found, which = certify(_smaller(seen, ask.noise), state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
         if found >= 0.0:  # otherwise a bound is violated, and the escape is invalid

@@ -28,6 +28,8 @@ MOST_STEPS = 1000
 _TURNS = 7
 AWAY = 1e-3
 """Minimum gain in distance of a motion that starts too close to an obstacle [m]."""
+_SLOPE = 0.1
+"""The same relative to the way, for a slow motion."""
 BAND = 0.08
 """Difference between two distances that noise may invert [m]; a motion must gain on all echoes within it."""
 
@@ -252,7 +254,9 @@ def certify(
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
     if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # creeping below STANDS would add up
         gained = _gains(sit, state, end)
-        if gained < AWAY:
+        swept = math.hypot(end[0] - state[0], end[1] - state[1])
+        swept += math.hypot(sit.core[0], sit.core[1]) * abs(end[2] - state[2])
+        if gained < min(AWAY, _SLOPE * swept):
             return min(least, gained, 0.0) - AWAY, first
     if least < needed and least < 0.0:
         return least, first

@@ -32,7 +32,7 @@ UNITS: Mapping[str, str] = {
     "track": "m",
     "missing_rate": "",
 }
-_LARGEST: Mapping[str, float] = {
+LARGEST: Mapping[str, float] = {
     "radius": 5.0,
     "speed": 20.0,
     "reverse_speed": 20.0,
@@ -50,6 +50,7 @@ _LARGEST: Mapping[str, float] = {
     "track": 10.0,
     "missing_rate": 0.5,
 }
+"""Maximum value of each constant."""
 _OPTIONAL = {"lag", "delay", "disturbance", "range_error", "scan_age", "length", "width", "track", "missing_rate"}
 _NO_KEY = {"name", "missing_rate"}
 """Constants that a robot's file has elsewhere than among its lengths and limits."""
@@ -115,7 +116,7 @@ class RobotModel:
         for field in fields(self):
             if field.name == "name":
                 continue
-            value, largest = getattr(self, field.name), _LARGEST[field.name]
+            value, largest = getattr(self, field.name), LARGEST[field.name]
             least = "0" if field.name in _MAY_BE_ZERO else "more than 0"
             if not (math.isfinite(value) and 0.0 <= value <= largest and (value > 0.0 or least == "0")):
                 raise SafetyError(f"{field.name} {value} {UNITS[field.name]}: must be {least} to {largest:g}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ctrl_rl_safety.models.robot_model import UNITS, RobotModel
+from ctrl_rl_safety.models.robot_model import LARGEST, UNITS, RobotModel
 
 LEAST_BRAKING = 0.3
 """Braking that a robot must have, as a fraction of the stated one."""
@@ -48,11 +48,11 @@ class Bounds:
             return stated
         return replace(
             stated,
-            delay=stated.delay + self.delay,
+            delay=min(stated.delay + self.delay, LARGEST["delay"]),
             acceleration=max(min(stated.acceleration * self.acceleration, MOST_ACCELERATION), stated.acceleration),
             braking=stated.braking * self.braking,
             turn_acceleration=stated.turn_acceleration * self.turning,
-            disturbance=stated.disturbance + self.disturbance,
+            disturbance=min(stated.disturbance + self.disturbance, LARGEST["disturbance"]),
         )
 
 

@@ -40,10 +40,10 @@ class Slip:
     def measure(self, time: float, pose: Array, v: float) -> None:
         """Compare a pose (3,) [m, m, rad] with the speed [m/s] since the last one, at a time [s]."""
         last = self._last
-        self._last = time, pose, v
+        self._last = time, pose.copy(), v
         if last is None or time - last[0] > _LONGEST:
             self.forget()
-            self._last = time, pose, v
+            self._last = time, pose.copy(), v
             return
         way = 0.5 * (last[2] + v) * (time - last[0])
         middle = last[1][2] + 0.5 * math.remainder(float(pose[2] - last[1][2]), 2.0 * math.pi)
