@@ -95,7 +95,7 @@ def test_a_policy_is_learnt_and_driven(task):
 
 
 def test_an_engine_of_contacts_is_refused(task):
-    with pytest.raises(SimulationError, match="moves no body by its own equations: use engine planar"):
+    with pytest.raises(SimulationError, match="does not simulate bodies with their own equations: use engine planar"):
         NavigationEnv(task, options=SimulationOptions(engine="mujoco"))
 
 

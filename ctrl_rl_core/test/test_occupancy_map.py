@@ -118,7 +118,7 @@ def test_clearance_is_the_distance_to_the_nearest_box(room: OccupancyMap) -> Non
         ({"negate": 2}, "negate"),
         ({"free_thresh": 0.7}, "free_thresh 0.7 must be less"),
         ({"image": "none.png"}, "none.png: there is no such file"),
-        ({"image": "map.yaml"}, "is no image that can be read"),
+        ({"image": "map.yaml"}, "is not a readable image"),
         ({"image": "."}, "is a folder"),
     ],
 )

@@ -107,7 +107,7 @@ def test_the_same_bearings_are_seen_by_any_lidar(
         ({"observation": [{"source": "odometry", "names": ["v"], "unit": 0.0}]}, "unit must be above 0"),
         ({"observation": [{"source": "odometry", "names": ["v"], "high": math.nan}]}, "finite"),
         ({"observation": [{"source": "scan", "count": 10**9, "high": 1.0}]}, "less than or equal to 1000"),
-        ({"action": {"low": [0.0, 1.0], "high": [1.0, 1.0]}}, "the least must lie below the largest"),
+        ({"action": {"low": [0.0, 1.0], "high": [1.0, 1.0]}}, "the minimum must lie below the maximum"),
         ({"action": {**DRIVE["action"], "choices": [[0.0, 0.0], [0.0, 5.0]]}}, "is not between low and high"),
         ({"rest": [1.0, 0.0]}, "stands at 0 m/s"),
         ({"period": 0.0}, "greater than 0"),

@@ -273,7 +273,7 @@ def test_commands_that_would_pass_the_filter_by_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("task", "words"),
-    [("corridor_doorways", "stand elsewhere in each episode"), ("quad_ttr", "steered by T_1 and T_2")],
+    [("corridor_doorways", "move in each episode"), ("quad_ttr", "steered by T_1 and T_2")],
 )
 def test_a_task_that_no_robot_on_the_floor_can_learn_is_refused_in_one_line(task: str, words: str) -> None:
     answer = command("fine_tune", "car_ttr", "--task", task, package="ctrl_rl_learning")

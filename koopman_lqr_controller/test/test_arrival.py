@@ -46,7 +46,7 @@ def test_a_real_robot_stands_after_the_distance_that_it_may_drive(robot: Robot, 
         assert robot.spin(PATIENCE_S, lambda stamp=stamp: robot.answer_to(stamp) is not None)
         speeds.append(robot.answer_to(stamp).twist.linear.x)
     assert [speed > 0.0 for speed in speeds] == [True] * 4 + [False] * 2
-    controller.wait_for("0.15 m driven (parameter max_distance; set it anew to go on)")
+    controller.wait_for("0.15 m driven (parameter max_distance; set it again to continue)")
 
 
 def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(

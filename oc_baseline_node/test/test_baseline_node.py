@@ -146,7 +146,7 @@ def test_only_a_value_of_another_version_of_its_task_is_told_of(run_node: Callab
     assert OTHER_VERSION not in new.output
     other = run_node("oc_baseline_node", "baseline", "grid:=car_navigation", "task:=quad_trap")
     assert other.process.wait(120.0) == 1
-    assert "the value function is of task 'car_navigation', not of 'quad_trap'" in other.output
+    assert "the value function belongs to task 'car_navigation', not 'quad_trap'" in other.output
 
 
 def test_the_parameter_grid_tells_the_names_that_it_takes() -> None:

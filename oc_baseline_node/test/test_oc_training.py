@@ -141,7 +141,7 @@ def test_an_unknown_method_and_a_value_of_another_task_are_refused(tmp_path):
         OcRun(TASK, "sarsa", 0).model(ROLL_OUT)
     from oc_baseline_node.values.value_file import find_value
 
-    with pytest.raises(ValueFunctionError, match="is of task 'car_navigation', not of 'quad_trap'"):
+    with pytest.raises(ValueFunctionError, match="belongs to task 'car_navigation', not 'quad_trap'"):
         OcRun(TASK, "oc_ppo", 0, find_value("car_navigation")).model(ROLL_OUT)
     changed = own_task(tmp_path, "quad_trap", ("steps: 100", "steps: 90"))
     with pytest.raises(OcError, match="is of another version of 'quad_trap': make it"):

@@ -52,5 +52,5 @@ def test_actions_that_are_none_are_refused(actions):
 
 
 def test_a_task_whose_episodes_differ_is_refused():
-    with pytest.raises(SimulationError, match="a fleet knows no 'corridor'"):
+    with pytest.raises(SimulationError, match="a fleet does not support 'corridor'"):
         PlanarFleet(load_navigation_task("curved_corridor"), size=2)

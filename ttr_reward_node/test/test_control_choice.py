@@ -99,7 +99,7 @@ def test_controls_are_added_where_little_way_is_made(current):
         assert (velocities @ direction).max() >= 0.94 * speed
 
     even = replace(submarine, more_controls=())
-    assert "of the speed at which the robot makes way: solve with more, such as --controls" in even.control_doubt
+    assert "of the possible speed: solve with more, such as --controls" in even.control_doubt
 
 
 def test_numbers_that_are_asked_for_are_kept_and_doubted():

@@ -197,7 +197,7 @@ def turning(lower, upper, count=16, periodic=True):
         (
             (-math.pi / 2, math.pi / 2),
             True,
-            "is 3.14159 rad long, but the state comes round after 6.28319: give one period",
+            "is 3.14159 rad long, but the state's period is 6.28319: give one period",
         ),
         ((-180.0, 180.0), True, "it seems to be in degrees: give one period"),
         ((0.0, 180.0), False, "it seems to be in degrees: give one period"),

@@ -242,7 +242,7 @@ def test_a_bad_parameter_ends_it_with_one_clear_message(run_node: Callable, para
 def test_a_function_of_another_task_is_refused(run_node: Callable, grid: Path) -> None:
     node = run_node(NODE, "reward", f"grid:={grid}", "task:=car_navigation")
     assert node.process.wait(120.0) != 0
-    assert "the value function is of task 'car_ttr', not of 'car_navigation'" in node.output
+    assert "the value function belongs to task 'car_ttr', not 'car_navigation'" in node.output
     assert "Traceback" not in node.output
 
 

@@ -112,7 +112,7 @@ def test_the_longest_time_is_the_largest_finite_one():
 
 def test_a_value_of_something_else_is_refused():
     value = car_value(np.zeros((3, 3, 4)))
-    with pytest.raises(ValueFunctionError, match="is of task 'car_ttr', not of 'quad_ttr'"):
+    with pytest.raises(ValueFunctionError, match="belongs to task 'car_ttr', not 'quad_ttr'"):
         make_reward("ttr", load_navigation_task("quad_ttr"), value)
     with pytest.raises(ValueFunctionError, match="holds 'oc_value'"):
         make_reward("ttr", CAR, replace(value, kind="oc_value"))

@@ -127,7 +127,7 @@ def test_a_function_is_checked_in_its_own_task(tmp_path, capsys):
     assert check([*driven, "--at-least", "1.01"]) == 1
     capsys.readouterr()
     for arguments, words in (
-        ([str(file), "--task", "car_ttr"], "is of task 'narrow', not of 'car_ttr'"),
+        ([str(file), "--task", "car_ttr"], "belongs to task 'narrow', not 'car_ttr'"),
         ([str(file)], "no task 'narrow'"),
     ):
         assert check(arguments) == 1

@@ -146,7 +146,9 @@ class _Extraction:
         self._bag, self._layout, self._options, self._found, self._tell = bag, layout, options, found, tell
         self._wiring = find_topics(bag, options)
         if self._wiring.command != layout.command:
-            raise BagError(f"{bag.path}: its commands are {self._wiring.command}, those before {layout.command}")
+            raise BagError(
+                f"{bag.path}: its commands are {self._wiring.command}, but those of earlier bags {layout.command}"
+            )
         for name, what in (("goal_pose", "goal"), ("reward", "reward"), ("image", "picture")):
             if name not in self._wiring.topics:
                 found.missing.add(f"no {options.topic(name)}: no {what}s")
@@ -158,7 +160,7 @@ class _Extraction:
         found, bag = self._found, self._bag
         pictures = self._layout.image is not None
         if pictures and "image" not in self._wiring.topics:
-            raise BagError(f"{bag.path}: it has no pictures, the first bag has")
+            raise BagError(f"{bag.path}: it has no images, but the first bag has")
         before = bag.bytes_read
         for note in bag.info.notes:
             found.note(f"{bag.path}: {note}")

@@ -172,7 +172,9 @@ class Bag:
                 try:
                     self._files[number] = with_log(file, log, folder, self._limits)
                 except (DamagedError, OSError) as error:
-                    raise BagError(f"{log} cannot be read: {reason(error)}: move it away to go without it") from None
+                    raise BagError(
+                        f"{log} cannot be read: {reason(error)}: move it away to read the bag without it"
+                    ) from None
                 self._notes.append(f"{printable(log.name)} holds the last messages: they are read, too")
 
     @contextmanager

@@ -80,7 +80,7 @@ class BagTypes:
         """
         cost = self._costs[kind]
         if cost.objects + len(data) * cost.objects_per_byte > MOST_OBJECTS:
-            raise DamagedError(f"a {kind} of {len(data):,} bytes may unfold to more than {MOST_OBJECTS:,} objects")
+            raise DamagedError(f"a {kind} of {len(data):,} bytes may expand to more than {MOST_OBJECTS:,} objects")
         try:
             return self.store.deserialize_cdr(data, kind)
         except Exception as error:

@@ -256,7 +256,7 @@ def _report(result: DriveReport, config: DriveConfig) -> int:
     print(f"picture             {artifacts.picture}")
     print(f"report              {artifacts.report}")
     if lacks := result.lacks:
-        raise IncompleteError(f"the report is not whole: {'; '.join(lacks)}. The nodes' logs are in {config.folder}")
+        raise IncompleteError(f"the report is incomplete: {'; '.join(lacks)}. The nodes' logs are in {config.folder}")
     return 0 if result.reached else 1
 
 

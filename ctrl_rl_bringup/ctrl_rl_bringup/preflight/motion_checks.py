@@ -138,7 +138,9 @@ def check_turn_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
     words = f"{seen:.2f} rad by the scans, {turn:.2f} rad by odometry"
     if best > _CLEARER * still:
         yield note(
-            check, f"the scans do not tell (mismatch {best:.3f} m): {words}", "repeat it where there is more to see"
+            check,
+            f"the scans are inconclusive (mismatch {best:.3f} m): {words}",
+            "repeat it where the scan has more structure",
         )
     elif seen * turn < 0.0:
         advice = (
@@ -167,7 +169,7 @@ def check_shift_by_scan(motion: Motion, limits: Limits) -> Iterator[Finding]:
     best, told = int(mismatch.argmin()), float(mismatch[np.abs(angles).argmin()])
     floor = max(float(mismatch[best]), _LEAST_MISMATCH)
     if float(mismatch.max()) * _CLEARER < floor:
-        yield note(check, "the scans do not tell the direction", "repeat it where there is more to see")
+        yield note(check, "the scans do not show the direction", "repeat it where the scan has more structure")
     elif abs(angles[best]) > math.radians(20.0) and floor < _CLEARER * told:
         yaw = float(wrap(limits.lidar_yaw - angles[best]))
         words = f"driving ahead moves the scan as if the lidar were turned by {yaw:.2f} rad, not {limits.lidar_yaw:.2f}"

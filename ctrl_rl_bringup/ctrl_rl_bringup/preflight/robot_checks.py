@@ -50,7 +50,7 @@ def check_battery(heard: Recording, limits: Limits) -> Iterator[Finding]:
         told.append((f"{voltage:.1f} V", voltage >= limits.least_voltage))
     words = ", ".join(word for word, _ in told)
     if not told:
-        yield note("battery", "its driver tells neither charge nor voltage", "look at the battery yourself")
+        yield note("battery", "its driver reports neither charge nor voltage", "look at the battery yourself")
     elif not all(enough for _, enough in told):
         least = f"{100 * limits.least_charge:.0f} % and {limits.least_voltage:g} V"
         advice = "charge or change it; a battery of another kind: --least-voltage"

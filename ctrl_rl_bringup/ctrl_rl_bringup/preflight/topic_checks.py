@@ -206,7 +206,7 @@ def rate_finding(check: str, times: Sequence[Times], heard: Recording, least: fl
         return no_go(check, f"{words}: at most {largest_gap:g} s is allowed", advice)
     inner = gaps[1:-1]
     if len(inner) > 1 and float(inner.std()) > 0.75 * float(inner.mean()):
-        return note(check, f"{words}; messages come in bunches", "the network or a busy computer holds them back")
+        return note(check, f"{words}; messages arrive in bursts", "the network or a busy computer delays them")
     return ok(check, words)
 
 

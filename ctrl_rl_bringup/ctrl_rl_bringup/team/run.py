@@ -157,7 +157,7 @@ class TeamMonitor(Monitor):
             while not self._over:
                 self._spin()
                 if time.monotonic() - self._heard > _SILENT_S:
-                    raise MonitorError(f"no robot said anything for {_SILENT_S:g} s: do they still run?")
+                    raise MonitorError(f"no message from any robot for {_SILENT_S:g} s: do they still run?")
                 display.show(min(1.0, len(self._granted) / wanted), f"{len(self._granted)} options granted")
         finally:
             display.close()

@@ -177,7 +177,7 @@ class Arrival:
         if self._outcome is not Outcome.RUNNING:
             return f"{ENDED}{self._outcome.words} (episode {self._episode})"
         if 0.0 < self.max_distance <= self.travelled:
-            return f"{ENDED}{self.max_distance:g} m driven (parameter max_distance; set it anew to go on)"
+            return f"{ENDED}{self.max_distance:g} m driven (parameter max_distance; set it again to continue)"
         return ""
 
 

@@ -121,7 +121,7 @@ def _shades(path: Path, most: int, with_alpha: bool) -> tuple[NDArray[np.float32
         except (FileError, MemoryError):
             raise
         except Exception as error:  # Pillow raises many error types for damaged files
-            raise FileError(f"is no image that can be read ({type(error).__name__}): PGM, PNG or BMP") from None
+            raise FileError(f"is not a readable image ({type(error).__name__}): PGM, PNG or BMP") from None
     channels = pixels if transparent and with_alpha else pixels[..., :3]
     return channels.mean(axis=-1, dtype=np.float32) / 255.0, pixels[..., 3] == _OPAQUE if transparent else None
 

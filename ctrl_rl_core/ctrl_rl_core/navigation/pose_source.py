@@ -166,4 +166,4 @@ class LocaliserPose(PoseSource):
             return Transform.planar(0.0, 0.0, 0.0)
         if frame == self._track.frame and self._correction is not None:
             return self._correction
-        raise TransformError(f"frame '{frame[:60]}' is unknown: amcl_pose tells where '{self._map}' is, and no more")
+        raise TransformError(f"frame '{frame[:60]}' is unknown: amcl_pose gives the pose in '{self._map}' only")

@@ -179,7 +179,7 @@ class TransformTree:
         link = self._links.get(child)
         if link is None or link.parent != parent or link.fixed != fixed:
             if child in self._ancestors(parent):
-                raise TransformError("the frames would form a circle")
+                raise TransformError("the frames would form a cycle")
             if link is None and len(self._links) >= MOST_FRAMES:
                 raise TransformError(f"more than {MOST_FRAMES} frames")
             link = self._links[child] = _Link(parent, fixed)

@@ -168,7 +168,7 @@ class ActionSpec(Schema):
     def _in_order(self) -> ActionSpec:
         for name, low, high in (("low", self.low, self.high), ("span", self.span[:1], self.span[1:])):
             if not all(least < most for least, most in zip(low, high, strict=True)):
-                raise ValueError(f"{name}: the least must lie below the largest")
+                raise ValueError(f"{name}: the minimum must lie below the maximum")
         for choice in self.choices or ():
             if not all(low <= each <= high for low, each, high in zip(self.low, choice, self.high, strict=True)):
                 raise ValueError(f"choices: {choice} is not between low and high")

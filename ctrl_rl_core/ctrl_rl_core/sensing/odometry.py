@@ -94,7 +94,9 @@ class OdometryReader:
     def __init__(self, names: Sequence[str]) -> None:
         unknown = [name for name in names if name not in (*_COMPONENTS, "omega")]
         if unknown:
-            raise OdometryError(f"odometry does not tell '{unknown[0]}': it tells {', '.join(_COMPONENTS)} and omega")
+            raise OdometryError(
+                f"odometry does not contain '{unknown[0]}': it contains {', '.join(_COMPONENTS)} and omega"
+            )
         self._uses_twist = any(name.startswith(("v", "omega")) for name in names)
         turn = _OMEGA_Y if "psi" in names else OMEGA_Z
         self._components = [

@@ -104,7 +104,7 @@ class ScanGeometry:
         if not abs(self.beams - wanted) <= _FEW + _SOME * self.beams:
             raise ScanError(
                 f"the scan has {self.beams} ranges, and {wanted:.0f} by its angle_min, _max and _increment: "
-                "its echoes would be taken for ones in other directions"
+                "its echoes would appear in wrong directions"
             )
 
 

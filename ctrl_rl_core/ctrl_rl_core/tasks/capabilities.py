@@ -56,7 +56,7 @@ def _has_corridor(task: NavigationTask) -> str:
 def _other_walls(task: NavigationTask) -> str:
     if task.doorways is None:
         return ""
-    return "has partitions that stand elsewhere in each episode: name one whose walls stay, such as curved_corridor"
+    return "has partitions that move in each episode: name one with fixed walls, such as curved_corridor"
 
 
 def _no_grid(task: NavigationTask) -> str:

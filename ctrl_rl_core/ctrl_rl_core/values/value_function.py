@@ -78,7 +78,7 @@ def check_function(function: ValueFunction, task: NavigationTask, kind: str) -> 
     if function.kind != kind:
         raise ValueFunctionError(f"the value function holds '{function.kind}': '{kind}' is needed here")
     if function.task != task.name:
-        raise ValueFunctionError(f"the value function is of task '{function.task}', not of '{task.name}'")
+        raise ValueFunctionError(f"the value function belongs to task '{function.task}', not '{task.name}'")
     if function.state_names != names:
         raise ValueFunctionError(
             f"the value function's states are {', '.join(function.state_names)}; those of task '{task.name}' are "

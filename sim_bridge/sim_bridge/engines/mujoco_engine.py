@@ -61,7 +61,9 @@ class MujocoEngine:
         return joints
 
     def add_disc(self, radius: float) -> PlacedDisc:  # noqa: ARG002, D102
-        raise SimulationError(f"engine '{self.name}' moves no body by its own equations: use engine planar")
+        raise SimulationError(
+            f"engine '{self.name}' does not simulate bodies with their own equations: use engine planar"
+        )
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> MujocoMover:  # noqa: D102
         self._movers.append(MujocoMover(radius, position))

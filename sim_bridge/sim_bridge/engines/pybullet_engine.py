@@ -62,7 +62,7 @@ class PybulletEngine:
             _check_display()
         self.client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self.client < 0:
-            raise SimulationError("PyBullet gives no physics client: without a display run with gui false")
+            raise SimulationError("PyBullet did not start: without a display run with gui false")
         self.fixed: list[int] = []
         self.robots: list[int] = []
         self.movers: list[int] = []
@@ -118,7 +118,9 @@ class PybulletEngine:
         return PybulletJoints(self.client, body, self._joints(body), robot)
 
     def add_disc(self, radius: float) -> PlacedDisc:  # noqa: ARG002, D102
-        raise SimulationError(f"engine '{self.name}' moves no body by its own equations: use engine planar")
+        raise SimulationError(
+            f"engine '{self.name}' does not simulate bodies with their own equations: use engine planar"
+        )
 
     def add_mover(self, radius: float, position: tuple[float, float]) -> PybulletMover:  # noqa: D102
         mover = PybulletMover(self.client, self.rate, self._plane, Disc(position, radius))

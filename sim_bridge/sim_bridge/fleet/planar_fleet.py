@@ -136,7 +136,9 @@ class PlanarFleet:
             ("randomisation", task.randomisation),
         ):
             if found:
-                raise SimulationError(f"task '{task.name}': a fleet knows no '{name}': simulate one robot at a time")
+                raise SimulationError(
+                    f"task '{task.name}': a fleet does not support '{name}': simulate one robot at a time"
+                )
         self.task, self._rate = task, RATE[task.plane] if rate is None else rate
         self.system: System = task.system.build()
         self._substeps = whole_steps(task, self._rate)

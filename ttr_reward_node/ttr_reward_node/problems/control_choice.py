@@ -105,7 +105,7 @@ def control_doubt(hulls: VelocityHulls, counts: int | Sequence[int], controls: A
     each = [counts] * len(system.controls) if isinstance(counts, int) else list(counts)
     more = " ".join(f"{system.control_names[k]}={max(2 * each[k] - 1, _MANY)}" for k in bent)
     return (
-        f"the samples of the controls miss up to {100 * error:.0f} % of the speed at which the robot makes way: solve "
+        f"the samples of the controls miss up to {100 * error:.0f} % of the possible speed: solve "
         f"with more, such as --controls {more}"
     )
 

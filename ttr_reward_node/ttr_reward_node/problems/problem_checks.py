@@ -65,7 +65,7 @@ def _check_period(axis: Axis, state: Quantity) -> None:
     why = "it seems to be in degrees: " if degrees else ""
     other = "" if axis.periodic and length > period else ", or one that is not periodic for a part of it"
     raise TimeToReachError(
-        f"axis '{axis.name}' is {length:.6g} {state.unit} long, but the state comes round after {period:.6g}: {why}"
+        f"axis '{axis.name}' is {length:.6g} {state.unit} long, but the state's period is {period:.6g}: {why}"
         f"give one period, such as [{state.lower:.6g}, {state.upper:.6g}] {state.unit}{other}"
     )
 

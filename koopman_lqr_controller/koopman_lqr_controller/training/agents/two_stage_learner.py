@@ -76,9 +76,7 @@ class TwoStageLearner(ReplayLearner):
         self.method = "two-stage Koopman control, " + ("learnt lifting" if learnt else "EDMD with random features")
         goal = self.interface.goal
         if goal is None or len(self.interface.shape) != 1 or problem.name not in HAND_TUNED:
-            raise KoopmanError(
-                f"{problem.name}: two_stage needs costs that a hand has tuned, as for {', '.join(HAND_TUNED)}"
-            )
+            raise KoopmanError(f"{problem.name}: two_stage needs hand-tuned costs, as for {', '.join(HAND_TUNED)}")
         self._goal, self._cost = goal, HAND_TUNED[problem.name][problem.settings.cost]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)

@@ -202,7 +202,7 @@ def _closed_loop(found: Found) -> str:
             ("cost_to_go", "cost_to_go_of_the_model_alone")]  # fmt: skip
     return (
         f"{text} The cost to go ends at {last[0]:.1e} of its start; the model alone would promise {last[1]:.1e}. "
-        "What the lifted model promises proves nothing of the robot: the black lines count."
+        "The lifted model's promise proves nothing about the robot; only the black lines are evidence."
     )
 
 

@@ -96,7 +96,7 @@ def analyse(
 
 def _some(data: Sequence[EpisodeTrajectory], world: Any) -> Sequence[EpisodeTrajectory]:
     if not data:
-        raise world if isinstance(world, CtrlRlError) else KoopmanError("no episode was lived through")
+        raise world if isinstance(world, CtrlRlError) else KoopmanError("no episode was completed")
     return data
 
 

@@ -34,7 +34,7 @@ def check_ways(team: TeamFile, room: NavigationTask) -> None:
         if not _arrives(planner, walls, here, there, longest, team.time_step):
             raise OptionError(
                 f"in room '{room.name}' a robot does not get from {start} to {goal} within {longest:g} s: it heads "
-                "straight for its goal and goes round small obstacles alone; move a wall or a station"
+                "straight for its goal and avoids only small obstacles; move a wall or a station"
             )
 
 
