@@ -103,8 +103,8 @@ def test_wrong_transforms_are_refused_and_change_nothing(tree: TransformTree) ->
     assert "translation" in tree.update(message("odom", "base", math.nan, 1.0), 103.0)
     assert "quaternion of length 0" in tree.update(message("odom", "base", 1.0, 0.0), 103.0)
     assert "no name" in tree.update(message("", "base", 1.0, 1.0), 103.0)
-    assert "circle" in tree.update(message("lidar", "map", 1.0, 1.0), 103.0)
-    assert "circle" in tree.update(message("lidar", "base", 1.0, 1.0), 103.0)
+    assert "cycle" in tree.update(message("lidar", "map", 1.0, 1.0), 103.0)
+    assert "cycle" in tree.update(message("lidar", "base", 1.0, 1.0), 103.0)
     for number in range(1100):
         refused = tree.update(message("odom", f"frame_{number}", 1.0, 1.0), 103.0)
     assert "more than 1000 frames" in refused
