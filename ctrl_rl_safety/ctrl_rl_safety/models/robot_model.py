@@ -137,7 +137,7 @@ class RobotModel:
 
     @property
     def room(self) -> float:
-        """Required distance of the core to an echo [m]: from the rectangle, or from the centre of a disc."""
+        """Required distance from the core to an echo [m]: from the rectangle, or from the centre of a disc."""
         return self.range_error + (0.0 if self.length else self.radius)
 
     @property

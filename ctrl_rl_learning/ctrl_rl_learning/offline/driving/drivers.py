@@ -24,9 +24,9 @@ class RandomDriver(Driver[Sensors], Protocol):
 
 
 class ScriptedDriver:
-    """Heads for the goal, or without one for where there is room; turns away from what is near, and is often careless.
+    """Drives to the goal, or to open space if there is none; turns away from obstacles, often too late.
 
-    Each episode draws a speed, a distance at which it begins to turn away, and an error of its hand that drifts.
+    Each episode draws a speed, a distance at which it begins to turn away, and a drifting steering error.
     """
 
     def __init__(self, task: NavigationTask) -> None:

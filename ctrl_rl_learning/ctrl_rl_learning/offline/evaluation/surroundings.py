@@ -27,7 +27,7 @@ class Surroundings:
     Args:
         task: Task of the episodes.
         worlds: Walls.
-        of: Number of the world that each episode is in; each in its own, or all in the only one, unless given.
+        of: Index of each episode's world; by default one world per episode, or the only one for all.
         plans: Movers of each episode; none unless given.
 
     Attributes:

@@ -41,7 +41,7 @@ class MapFromBag:
 
     Attributes:
         map: Free and occupied cells.
-        seen: Share of its cells that a beam met.
+        seen: Fraction of its cells that beams have crossed or hit.
         changed: Number of cells in which it differs from the file.
     """
 
