@@ -112,7 +112,15 @@ class Follower:
         return ~(self._gone | self._ahead).reshape(self._shape)
 
     def measure(
-        self, sent: Array, begin: float, end: float, value: float, coupled: bool, delay: int, possible: Flags
+        self,
+        sent: Array,
+        begin: float,
+        end: float,
+        value: float,
+        coupled: bool,
+        crowded: bool,
+        delay: int,
+        possible: Flags,
     ) -> None:
         """Judge all hypotheses by a measurement.
 
@@ -122,6 +130,7 @@ class Follower:
             end: Time of this one [s].
             value: Measured speed [unit].
             coupled: Whether another speed may have used the force in the meantime.
+            crowded: Whether another speed takes up the wheels, so that this one may be smaller than any command.
             delay: Interval of the delay that another speed has determined.
             possible: Intervals of the delay that another speed leaves possible (m,).
         """
@@ -129,7 +138,9 @@ class Follower:
         if told >= UNKNOWN or abs(value) - self.error(value) - told <= max(LARGEST_GAIN * told, self._slack):
             self._borne_at = end
         self.lost |= end - self._borne_at >= _BORNE
-        falling, rising = advance(self._those, self._low, self._high, sent, begin, end, self.gain, coupled, self._error)
+        falling, rising = advance(
+            self._those, self._low, self._high, sent, begin, end, self.gain, coupled, crowded, self._error
+        )
         found = judge(self._low, self._high, falling, rising, self._gone, value, self.error(value))
         late = (found == SHEDS_LATE) | (found == BUILDS_LATE)
         if not late.any() and not (found == LEADS).any():

@@ -105,6 +105,7 @@ def advance(
     end: float,
     gain: float,
     coupled: bool,
+    crowded: bool,
     error: float,
 ) -> tuple[Flags, Flags]:
     """Advance the intervals of all hypotheses in place.
@@ -119,6 +120,7 @@ def advance(
         end: Time to which to advance [s].
         gain: Fraction by which a speed may exceed its command.
         coupled: Whether another speed uses the same force, so that this one may not change at all.
+        crowded: Whether another speed takes up the wheels, so that this one may be smaller than any command.
         error: Error bound of a measurement near zero [unit].
 
     Returns:
@@ -150,6 +152,8 @@ def advance(
                 low[i] = _slowest(low[i], below, build[0], shed[0], share, step, error)
             else:
                 low[i] = _quickest(low[i], below, build[1], shed[1], step)
+            if crowded:
+                low[i], high[i] = min(low[i], 0.0), max(high[i], 0.0)
     return falling, rising
 
 

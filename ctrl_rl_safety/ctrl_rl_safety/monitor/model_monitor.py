@@ -33,6 +33,8 @@ _SLACK = 0.1
 """Fraction of its maximum speed by which a robot may exceed every command, for example on a slope."""
 _TURN_SLACK, _LEAST_TURN_SLACK = 0.2, 0.3
 """The same of its turn rate, which shakes as wheels slip, and the least that is borne [rad/s]."""
+_SLOWLY = 0.25
+"""Fraction of the maximum speed up to which a robot must turn as commanded, and the same of the turn rate."""
 _UNSEEN_DELAY = 0.06
 """Delay beyond the stated one that a start does not reveal [s]."""
 _UNSEEN_BRAKING = 0.87
@@ -120,12 +122,15 @@ class ModelMonitor:
             self._turn.begin(omega)
             self._use()
             return
-        changes = [self.stated.track > 0.0 and most - least > STANDS for least, most in told]
+        coupled = [self.stated.track > 0.0 and most - least > STANDS for least, most in told]
+        # Wheels at their full speed leave none to turn with, and turning takes from the speed.
+        limits = self.stated.speed, self.stated.turn_rate
+        crowded = [max(map(abs, each)) > _SLOWLY * limit for each, limit in zip(told, limits, strict=True)]
         known, any_ = self._turn.grown.delay, np.ones(len(LATER), np.bool_)
-        self._speed.measure(speeds, last[0], time, v, changes[1], known, any_)
+        self._speed.measure(speeds, last[0], time, v, coupled[1], crowded[1], known, any_)
         # Turn rates shake as wheels slip: what the speed has shown of the delay counts for more.
         known, possible = self._speed.grown.delay, self._speed.delays
-        self._turn.measure(turns, last[0], time, omega, changes[0], known, possible)
+        self._turn.measure(turns, last[0], time, omega, coupled[0], crowded[0], known, possible)
         self._use()
 
     def _moved_by_others(self, told: tuple[tuple[float, float], ...], stands: bool) -> bool:
