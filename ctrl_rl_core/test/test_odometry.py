@@ -39,5 +39,5 @@ def test_a_quadrotor_turns_about_y_and_its_speeds_are_those_of_the_frame(psi, v_
 
 
 def test_refuses_what_odometry_does_not_tell():
-    with pytest.raises(OdometryError, match="odometry does not tell 'phi'"):
+    with pytest.raises(OdometryError, match="odometry does not contain 'phi'"):
         OdometryReader(("x", "phi"))

@@ -108,7 +108,7 @@ def test_two_stages_put_the_costs_of_the_thesis_on_the_observation(tmp_path: Pat
 @pytest.mark.parametrize(
     ("run", "words"),
     [
-        (replace(RUN, problem_name="cheetah_run", learner="two_stage"), "needs costs that a hand has tuned"),
+        (replace(RUN, problem_name="cheetah_run", learner="two_stage"), "needs hand-tuned costs"),
         (replace(RUN, changes=(("cost", "Q5"),)), "cost is Q5: must be Q1 or Q2"),
         (
             replace(RUN, changes=(("encoder_loss", "reconstruction_prediction"), ("policy", "network"))),
