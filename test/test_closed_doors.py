@@ -35,6 +35,14 @@ def test_it_goes_round_a_closed_door_and_does_not_come_back() -> None:
     assert "after a detour of" in outcome.message
 
 
+def test_it_goes_round_a_gate_of_bars_that_beams_pass() -> None:
+    bars = [Door(NEAR.rows, slice(column, column + 1), True) for column in range(22, 30, 3)]
+    gate = halved_room(NEAR._replace(closed=False), FAR, *bars)
+    outcome = drive(gate, 1, 120.0)
+    assert (outcome.state, outcome.collided) == (NavigatorState.REACHED, False)
+    assert outcome.passes <= 2
+
+
 def test_where_every_door_is_closed_it_says_so_and_stands() -> None:
     world = halved_room(NEAR, FAR._replace(closed=True))
     outcome = drive(world, 1, 200.0)
