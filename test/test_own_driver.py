@@ -19,7 +19,7 @@ def test_the_page_works_as_written(tmp_path: Path) -> None:
         return answer.stdout
 
     assert run("gap.py").startswith("5 episodes: 5 GOAL")
-    assert "Drives to where there is more room." in run("gap_node.py", "--help")
+    assert "Drives towards the side with more room." in run("gap_node.py", "--help")
     assert run("-c", _ONE_SCAN).split() == ["moves"]
 
 
