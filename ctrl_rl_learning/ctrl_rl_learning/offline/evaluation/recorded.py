@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -21,8 +22,8 @@ from ctrl_rl_learning.offline.witness.record import Sightings, lidar_place
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_COMPARED = 2000
-"""Most scans that are compared with the walls."""
+_COMPARED, _FEWEST_BEAMS = 500_000, 90
+"""Most ranges that are compared with the walls, about, and beams of a scan that are kept before scans are left out."""
 _OFF = 0.05
 """Distance from the file's walls that contradicts them, beside three tenths of the robot's radius [m]."""
 _MORE, _ERRORS = 1.5, 2.0
@@ -130,7 +131,7 @@ def look_at(transitions: Transitions, task: NavigationTask, seed: int) -> Record
         TaskError: No path of a mover is clear of walls and obstacles.
     """
     random = np.random.default_rng(seed)
-    own = beside_own_walls([sightings_of(transitions, task, random)], task, random)
+    own = beside_own_walls([sightings_of(transitions, task)], task, random)
     worlds: tuple[World, ...] = (task.build_world(),)
     if own.walls:
         usual, drawn = worlds[0], own.worlds(task)
@@ -150,9 +151,8 @@ def _at_true_scale(transitions: Transitions, walls: Mapping[int, EpisodeWalls]) 
     return replace(transitions, states=states, next_states=after)
 
 
-def sightings_of(transitions: Transitions, task: NavigationTask, random: np.random.Generator) -> Sightings:
-    """Return the scans in a task's observations, of at most `_COMPARED` transitions that are drawn."""
-    rows = np.sort(random.permutation(len(transitions))[:_COMPARED])
+def sightings_of(transitions: Transitions, task: NavigationTask) -> Sightings:
+    """Return the scans in a task's observations: at poses that follow closely, and with fewer beams in long drives."""
     before = 0
     for part in sensed_interface(task).observation:
         if isinstance(part, ScanPart):
@@ -161,10 +161,12 @@ def sightings_of(transitions: Transitions, task: NavigationTask, random: np.rand
     else:
         none = np.zeros(0, dtype=np.intp)
         return Sightings(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0), np.float32), 1.0, none.astype(np.int64))
-    ranges = transitions.observations[rows][:, before : before + part.count]
+    stride = max(1, min(part.count // _FEWEST_BEAMS, math.ceil(len(transitions) * part.count / _COMPARED)))
+    every = math.ceil(len(transitions) * part.count / stride / _COMPARED)
+    ranges = transitions.observations[::every, before : before + part.count : stride]
     ranges = np.where(ranges >= part.high, np.float32(np.inf), ranges)
-    episodes = (np.cumsum(transitions.first) - 1)[rows].astype(np.int64)
-    return Sightings(transitions.states[rows], part.bearings, ranges, part.high, episodes)
+    episodes = (np.cumsum(transitions.first) - 1)[::every].astype(np.int64)
+    return Sightings(transitions.states[::every], part.bearings[::stride], ranges, part.high, episodes)
 
 
 def _room(task: NavigationTask) -> float:

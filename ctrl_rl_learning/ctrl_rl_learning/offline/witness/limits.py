@@ -44,7 +44,9 @@ def states_inside(sightings: Sequence[Sightings], task: NavigationTask, worlds: 
 def inner_radius(task: NavigationTask) -> float:
     """Return the radius of a disc that the body of a task's robot holds [m]."""
     robot = task.robot.robot
-    return task.robot.radius if robot is None or not robot.width else 0.5 * min(robot.width, robot.length)
+    if robot is None:
+        return task.robot.radius
+    return 0.5 * min(robot.width, robot.length) if robot.width else robot.through_gaps
 
 
 def many_inside(inside: int, count: int) -> bool:
