@@ -1,0 +1,1 @@
+"""Drives of the navigator among people."""
