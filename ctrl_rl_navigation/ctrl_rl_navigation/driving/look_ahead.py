@@ -105,7 +105,7 @@ class LookAhead:
         )
         self._candidates = self._plans(speeds, turns_after)
         # Among people it may also make room backwards.
-        back = (-limits.reverse_speed / limits.speed,) if limits.reverse_speed else ()
+        back = (-min(limits.reverse_speed / limits.speed, 1.0),) if limits.reverse_speed else ()
         self._evasive = self._plans((*back, *speeds), turns_after)
         self._last: Array | None = None
         self._space_time = SpaceTime(limits, horizon)
