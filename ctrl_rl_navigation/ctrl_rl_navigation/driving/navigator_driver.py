@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 from ctrl_rl_core.navigation import Transform
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanError, ScanGeometry, Sensors
 from ctrl_rl_navigation.driving.decision import Decision, NavigatorState
-from ctrl_rl_navigation.driving.navigator import Navigator
 from ctrl_rl_navigation.people import Watch
 
 Array = NDArray[np.float64]
@@ -22,11 +22,27 @@ _FARTHEST = 100.0
 """Length of a beam without an echo, whatever the lidar claims [m]."""
 
 
+class Decider(Protocol):
+    """What a driver asks for commands: `Navigator`, or the navigator of a car."""
+
+    def sent(self, command: Array) -> None:
+        """Record the command actually sent (2,)."""
+
+    def poll(self, now: float) -> None:
+        """Process finished background work at a steady time [s]."""
+
+    def see(self, now: float, pose: Array, points: Array, empty: Array) -> None:
+        """Process a scan, see `Navigator.see`."""
+
+    def decide(self, now: float, pose: Array, points: Array, movers: Array) -> Decision:
+        """Return the decision for this period, see `Navigator.decide`."""
+
+
 class NavigatorDriver:
     """Passes scans with their poses to a navigator, and requests commands from it.
 
     Args:
-        navigator: Navigator, with or without a map and a goal.
+        navigator: Decider, with or without a map and a goal.
         lidar_x: Position of the lidar ahead of the robot's centre [m].
         reach: Distance from the robot within which echoes are used [m].
 
@@ -35,7 +51,7 @@ class NavigatorDriver:
         decision: Last decision of the navigator.
     """
 
-    def __init__(self, navigator: Navigator, lidar_x: float, reach: float = math.inf) -> None:
+    def __init__(self, navigator: Decider, lidar_x: float, reach: float = math.inf) -> None:
         self.navigator, self._lidar_x, self._reach = navigator, lidar_x, reach
         self.decision = Decision(_STAND, NavigatorState.WAITING, "waiting for a map")
         self._watch = Watch(lidar_x)

@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from ctrl_rl_core import OccupancyMap, PoseError, read_goal
 from ctrl_rl_msgs.msg import NavigatorStatus
+from ctrl_rl_navigation.cars import CarNavigator, CarValue
 from ctrl_rl_navigation.driving.decision import Decision, Goal
 from ctrl_rl_navigation.driving.navigator import Navigator
 from ctrl_rl_navigation.errors import NavigationError
@@ -47,7 +48,7 @@ def goal_from(message: PoseStamped, frame: Transform, with_heading: bool) -> Goa
     return Goal((x, y), heading if turned and with_heading else None)
 
 
-def status_message(navigator: Navigator, decision: Decision, header: Header) -> NavigatorStatus:
+def status_message(navigator: Navigator | CarNavigator, decision: Decision, header: Header) -> NavigatorStatus:
     """Convert the navigator's decision to a status message."""
     out = NavigatorStatus(header=header, state=int(decision.state), message=decision.message)
     if navigator.goal is not None:
@@ -73,7 +74,7 @@ def path_message(path: NDArray[np.float64], header: Header) -> Path:
     return out
 
 
-def slice_message(value: MapValue, stamp: Time, frame: str) -> OccupancyGrid:
+def slice_message(value: MapValue | CarValue, stamp: Time, frame: str) -> OccupancyGrid:
     """Convert a value to a map: 0 at the goal, 100 at the maximum time, -1 where unreachable.
 
     Of a large map, only each second, third, ... row and column is shown: converting all would delay commands.

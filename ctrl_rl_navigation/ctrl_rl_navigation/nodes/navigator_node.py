@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,25 +29,21 @@ from ctrl_rl_core import (
     ScanGeometry,
     Sensors,
     VelocityError,
-    find_robot,
     make_odometry,
     run_node,
 )
 from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
-from ctrl_rl_navigation.driving.decision import NavigatorOptions, NavigatorState
-from ctrl_rl_navigation.driving.navigator import Navigator, warm_up
+from ctrl_rl_navigation.driving.decision import NavigatorState
 from ctrl_rl_navigation.driving.navigator_driver import NavigatorDriver
 from ctrl_rl_navigation.maps import load_map
 from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
+from ctrl_rl_navigation.nodes.navigators import make_navigator
 from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
-from ctrl_rl_navigation.robot import limits_of
 
 Array = NDArray[np.float64]
 
 _STATUS_PERIOD = 0.5
-_GUARD_GAP = 0.005
-"""Additional distance to obstacles of the look-ahead compared with the obstacle stop [m]."""
 _LAST_ZEROS = 10
 """Number of zero commands at the end of a drive, after which the topic is free for others."""
 _SCANS = 4
@@ -73,32 +68,10 @@ class NavigatorNode(RobotNode):
     def __init__(self) -> None:
         super().__init__("navigator")
         value = self.settings
-        limits = replace(
-            limits_of(find_robot(value["robot"]), value["obstacle_margin"] + _GUARD_GAP),
-            speed=value["max_speed"],
-            turn_rate=value["max_turn_rate"],
-            acceleration=value["acceleration"],
-            turn_acceleration=value["turn_acceleration"],
-            radius=value["robot_radius"],
-            length=0.0,
-            width=0.0,
-        )
+        self._navigator, bounds = make_navigator(value)
         self.robot = robot = LidarRobot(self)
-        robot.set_limits((0.0, -limits.turn_rate), (limits.speed, limits.turn_rate))
+        robot.set_limits(*bounds)
         robot.on_scan, robot.on_odometry = self._see, self._keep
-        self._navigator = Navigator(
-            limits,
-            NavigatorOptions(
-                tolerance=value["goal_tolerance"],
-                heading_tolerance=value["goal_heading_tolerance"],
-                memory=value["obstacle_memory"],
-                max_detour=value["max_detour"],
-                period=value["control_period"],
-                delay=value["control_period"] + 0.1,
-                deceleration=value["deceleration"],
-            ),
-        )
-        warm_up(limits)
         self._driver = NavigatorDriver(self._navigator, value["lidar_x"])
         self._odometry, self._sent = np.zeros(len(ODOMETRY_NAMES)), _STAND
         self._map: OccupancyMap | None = None

@@ -1,0 +1,9 @@
+from .car_limits import CarLimits as CarLimits
+from .car_limits import car_limits_of as car_limits_of
+from .car_navigator import CarNavigator as CarNavigator
+from .car_navigator import warm_up_car as warm_up_car
+from .car_solver import CarSolver as CarSolver
+from .car_value import CarValue as CarValue
+from .footprint import Footprint as Footprint
+from .footprint import fits as fits
+from .footprint import footprint_of as footprint_of
