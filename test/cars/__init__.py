@@ -1,0 +1,1 @@
+"""Drives of cars to goals with a heading, beside a hybrid A*."""
