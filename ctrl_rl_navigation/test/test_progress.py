@@ -104,7 +104,7 @@ def test_a_detour_is_told_and_one_that_is_too_long_stops_it(navigator: Navigator
     assert run(navigator, 0.2, 3.0, wall(0.9, 2.4)).startswith("DRIVING driving a detour of ")
     assert 0.5 < navigator.detour < 20.0
     navigator.options = replace(navigator.options, max_detour=0.5)
-    assert "longer: more than `max_detour`" in run(navigator, 3.2, 1.0, wall(0.9, 2.4))
+    assert "round obstacles is more than `max_detour`" in run(navigator, 3.2, 1.0, wall(0.9, 2.4))
     behind = wall(0.0, 3.0, 5.9)
     assert run(navigator, 4.2, 6.0, behind).startswith("DRIVING driving")
     assert navigator.detour == pytest.approx(0.0, abs=0.3)

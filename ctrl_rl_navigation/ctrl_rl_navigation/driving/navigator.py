@@ -29,8 +29,6 @@ _SOLVE_PERIOD = 2.0
 """Minimum interval between solves for one goal [s]."""
 _DOUBT = 2.0
 """Time after which an obstacle that closes the last way may have gone [s]: the robot looks again, once."""
-_SHORT = 1.0
-"""Detour that is not worth a word [s]."""
 _SLACK = 0.1
 """Distance beyond the tolerance at which a blocked robot counts as arrived [m]."""
 _NO_PATH: Array = np.empty((0, 2))
@@ -197,8 +195,7 @@ class Navigator:
             self._ended = (NavigatorState.BLOCKED, message)
             return stand(*self._ended)
         if progress.detour > self.options.max_detour:
-            message = f"the way round obstacles takes {progress.detour:.0f} s longer: more than `max_detour`"
-            return stand(NavigatorState.BLOCKED, message)
+            return stand(NavigatorState.BLOCKED, f"{progress.words} is more than `max_detour`")
         if progress.passes == 2:
             self._insist(now)
         choice = self._ahead.choose(self.value, pose, self._command, points, movers=movers)
@@ -211,8 +208,7 @@ class Navigator:
         """Return in words what a driving robot does."""
         if self._looks_again:
             return "driving to look again at obstacles seen before: they close every way"
-        detour = self._progress.detour
-        return "driving" if detour < _SHORT else f"driving a detour of {detour:.0f} s round obstacles"
+        return f"driving {self._progress.words}".rstrip()
 
     def _insist(self, now: float) -> None:
         """Believe in every obstacle of this drive, since the robot repeats itself: some seem to come and go."""
@@ -269,11 +265,11 @@ class Navigator:
                 command = np.array((0.0, np.clip(turn, self._command[1] - most, self._command[1] + most)))
                 left = abs(error) / self.limits.turn_rate
                 return Decision(command, NavigatorState.DRIVING, "turning into the heading of the goal", left)
-        message, away, detour = "the goal is reached", math.dist(pose[:2], goal.position), self._progress.detour
+        message, away = "the goal is reached", math.dist(pose[:2], goal.position)
         if away > self.options.tolerance:
             message = f"reached to {away:.2f} m: obstacles let the robot come no nearer"
-        elif detour >= _SHORT:
-            message = f"the goal is reached, after a detour of {detour:.0f} s round obstacles"
+        elif self._progress.words:
+            message += f", after {self._progress.words}"
         self._ended = (NavigatorState.REACHED, message)
         self.path = _NO_PATH
         return stand(*self._ended)

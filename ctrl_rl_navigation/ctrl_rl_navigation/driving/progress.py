@@ -13,6 +13,8 @@ PATIENCE = 6.0
 """Time without progress after which all surrounding echoes count as obstacles [s]."""
 _PROGRESS = 0.5
 """Minimum decrease of the time to reach that counts as progress [s]."""
+_SHORT = 1.0
+"""Detour that is not worth a word [s]."""
 _STOOD = 1.0
 """Pause after which the drive begins anew [s]: the robot stood for a reason of its own."""
 _STRETCH = 0.5
@@ -34,6 +36,11 @@ class Progress:
 
     def __init__(self) -> None:
         self.begin()
+
+    @property
+    def words(self) -> str:
+        """The detour in words; "" for none that is worth a word."""
+        return "" if self.detour < _SHORT else f"a detour of {self.detour:.0f} s round obstacles"
 
     def begin(self) -> None:
         """Begin a drive to a goal."""
