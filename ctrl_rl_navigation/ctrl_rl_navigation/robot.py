@@ -67,10 +67,11 @@ def limits_of(robot: Robot, margin: float = MARGIN) -> DriveLimits:
     It makes room backwards only if its lidar sees what is there.
 
     Raises:
-        NavigationError: The robot has no wheels.
+        NavigationError: The robot has no wheels, or is a car.
     """
     if robot.kind != "differential_drive":
-        raise NavigationError(f"robot '{robot.name}' does not drive on wheels")
+        kind = "is a car, see ctrl_rl_navigation.cars" if robot.steering else "does not drive on wheels"
+        raise NavigationError(f"robot '{robot.name}' {kind}")
     plan, lidar = robot.plan, robot.lidar.spec
     sees_back = lidar is not None and lidar.field.length > _ALL_AROUND
     return DriveLimits(

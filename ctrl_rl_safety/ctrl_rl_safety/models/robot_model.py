@@ -184,7 +184,8 @@ class RobotModel:
             SafetyError: The robot has no wheels.
         """
         if robot.kind != "differential_drive":
-            raise SafetyError(f"robot '{robot.name}' does not drive on wheels")
+            kind = "is a car, for which the filter has no model" if robot.steering else "does not drive on wheels"
+            raise SafetyError(f"robot '{robot.name}' {kind}")
         own = {field.name: getattr(robot, field.name) for field in fields(cls) if field.name != "missing_rate"}
         return cls(**own, missing_rate=robot.lidar.missing_rate)
 
