@@ -1,8 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 
-from ctrl_rl_core import Robot, RobotError, find_robot
+from ctrl_rl_core import ObstacleStop, Robot, RobotError, find_robot
 
 CAR = """
 name: cart
@@ -65,3 +66,19 @@ def test_cars_of_the_suite_have_steering(name):
 
 def test_digests_of_other_robots_have_not_changed():
     assert find_robot("jackal").digest.startswith("c4ca91fa")
+
+
+def stop_of(name):
+    car = find_robot(name)
+    return ObstacleStop(car.radius, 0.02, car.plan.braking, 0.3, car.rectangle)
+
+
+def test_the_obstacle_stop_sweeps_a_cars_rectangle():
+    stop, posts = stop_of("road_car"), np.array([[1.0, 0.95], [1.0, -0.95], [3.0, 0.95], [3.0, -0.95]])  # of a bay
+    ahead, turning = np.array((0.5, 0.0)), np.array((0.5, 0.5 / 4.5))
+    assert stop.limit(ahead, posts, 0.5, 0.0) == (pytest.approx(ahead), "")
+    assert stop.limit(-ahead, posts, -0.5, 0.0)[1] == ""
+    assert "ahead" in stop.limit(turning, posts, 0.5, 0.0)[1]  # the front swings out into a post
+    wall = np.array([[3.7, 0.0]])
+    assert "ahead" in stop.limit(ahead, wall, 0.5, 0.0)[1]
+    assert stop.limit(-ahead, wall, -0.5, 0.0)[1] == ""
