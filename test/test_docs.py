@@ -3,6 +3,7 @@
 import importlib
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -74,3 +75,13 @@ def test_the_page_of_file_schemas_is_written(monkeypatch: pytest.MonkeyPatch) ->
     page = importlib.import_module("schemas").schema_page()
     assert "### NavigationTask" in page
     assert "| `footprint` |" in page
+
+
+def test_the_reference_takes_help_and_unknown_pages_for_no_folder(tmp_path: Path) -> None:
+    command = (sys.executable, ROOT / "scripts" / "reference")
+    asked = subprocess.run((*command, "--help"), cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "usage: python scripts/reference" in asked.stdout
+    wrong = subprocess.run((*command, "site", "nopage.md"), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert wrong.returncode == 2
+    assert "there is no page nopage.md" in wrong.stderr
+    assert not list(tmp_path.iterdir())
