@@ -92,7 +92,7 @@ def test_the_command_keeps_drives_and_goes_on(
     assert [each[0] for each in drives["dynamic_window"]] == [0]
     before = results.read_bytes()
     assert run(monkeypatch, *words) == 0
-    assert "1 of 1 drives are in" in capsys.readouterr().out
+    assert "already has 1 of 1 drives" in capsys.readouterr().out
     assert results.read_bytes() == before
     assert run(monkeypatch, *words, "--seed", "1") == 1
     assert "give another file" in capsys.readouterr().err
