@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 PASSED, CORRECTED, ESCAPING, UNBLOCKING = 1, 2, 3, 4
 _SPEEDS, _TURNS = 7, 9
 _TRIES = 30
-"""Maximum number of commands to certify, so that an answer takes less than a millisecond."""
+"""Maximum number of motions to certify besides braking, so that an answer takes less than a millisecond."""
 _LAST = 0.05
 """Weight of the distance to the last command, used to break ties."""
 _RISE = 0.2
@@ -178,9 +178,9 @@ def _nearest(
         needed = ask.hysteresis if stands and ask.corrected and not clear and command[0] != 0.0 else 0.0
         if hopeless(sit, state, command):
             continue
-        tries += 1
-        if tries > _TRIES:
-            break
+        tries += command[0] != 0.0
+        if tries > _TRIES and command[0] != 0.0:
+            continue
         margin, kind = certify(sit, state, t, command, sit.hold, ask.first, needed)
         if margin < needed:
             continue
