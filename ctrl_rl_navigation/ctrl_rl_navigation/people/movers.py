@@ -22,7 +22,7 @@ _ACCELERATION = 0.06
 """Standard deviation of the acceleration that a prediction may lack [m/s^2]."""
 _SHARPEST, _VAGUEST = 0.03, 0.3
 """Minimum and maximum standard deviation of a predicted place [m]; what is not known now will be seen in time."""
-STANDING = 0.5
+STANDING = 0.7
 """Share of a contact's cost where the robot stands: people walk round what stands more often than round what drives."""
 _COST = 40.0
 """Cost of a certain contact, for each second of it [s]."""
@@ -70,7 +70,7 @@ def risk(distance: float, radius: float, variance: float) -> float:
     beyond = distance - radius
     if beyond > 0.0 and beyond * beyond > _FARTHEST * _FARTHEST * variance:
         return 0.0
-    # The mass of a normal distribution on the disc around its middle, and how that falls beside it.
+    # The mass of a normal distribution on the disc around its middle, and how that falls across the disc's edge.
     inside = 1.0 - math.exp(-0.5 * radius * radius / variance)
-    beside = math.exp(-0.5 * beyond * beyond / variance) if beyond > 0.0 else 1.0
-    return _COST * inside * beside
+    tail = 0.5 * math.exp(-0.5 * beyond * beyond / variance)
+    return _COST * inside * (tail if beyond > 0.0 else 1.0 - tail)
