@@ -5,7 +5,7 @@ SHELL := /bin/bash
 RUN := set -eo pipefail; source scripts/workspace.bash;
 LINKED := ctrl_rl_core ctrl_rl_bags sim_bridge ctrl_rl_learning ttr_reward_node oc_baseline_node koopman_lqr_controller option_coordinator ctrl_rl_navigation ctrl_rl_safety ctrl_rl_trials ctrl_rl_bringup ctrl_rl
 
-.PHONY: help setup build build-demo demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack referee behaviour navigator docs picture results lock clean
+.PHONY: help setup build build-demo demo demo-car demo-quadrotor demo-options trials train ttr oc options koopman test test-all tests lint bench avoid-sets attack doors referee behaviour navigator docs picture results lock clean
 
 help: ## say what there is
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 18
@@ -110,6 +110,9 @@ avoid-sets: build ## avoid sets beside closed forms and hj_reachability
 
 attack: build ## fuzz readers and messages, break processes (ARGS="--seconds 60 --seed 1 --report FILE"; default: ten minutes)
 	@$(RUN) python test/attack $(ARGS)
+
+doors: build ## doors 2 to 10 cm wider than the safety filter needs, driven off their middle (ARGS="--episodes 40")
+	@$(RUN) python test/doors --output docs/results/doors.json $(ARGS)
 
 referee: build ## times to reach of 200 random systems beside independent solutions (ARGS="--seed 1000 --family cart")
 	@$(RUN) python test/referee --output docs/results/referee.json $(ARGS)
