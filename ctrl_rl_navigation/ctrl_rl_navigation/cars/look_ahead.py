@@ -44,7 +44,7 @@ _NOW = 1e-9
 """Time below which something happens now [s], as in a roll-out."""
 _NEAR_GOAL = 3.0
 """Time to reach below which candidates that stop are tried [s]."""
-_MARGINS = ((0.6, 1.0), (0.3, 1.0), (0.1, 0.5), (-0.1, 0.25))
+_MARGINS = ((1.0, 1.0), (0.6, 1.0), (0.3, 0.5), (0.1, 0.2), (-0.1, 0.2))
 """Fractions of the margin that a roll-out keeps, tried in turn, and of the speed that it may have. The value keeps all
 of the margin, up to its cells; the last ones lead a car away from what it almost touches, by the errors of a scan."""
 _ECHO_CELL = 0.05
@@ -148,11 +148,8 @@ class CarLookAhead:
         for share, pace in _MARGINS:
             shapes = (self._shape(share, map_place[3]), self._shape(share, self._cell))
             slow = np.abs(tried[:, [SPEED, SPEED_AFTER]]).max(axis=1) <= pace * self._limits.speed
-            slow[0] |= favour > 0.0
-            candidates = tried[slow]
-            best, cost = choose(
-                value.all_times, grid, fields, places, shapes, rules, motion, candidates, favour if slow[0] else 0.0
-            )
+            candidates, kept = tried[slow], favour if slow[0] else 0.0
+            best, cost = choose(value.all_times, grid, fields, places, shapes, rules, motion, candidates, kept)
             if best >= 0:
                 self._plan = candidates[best]
                 return self._command(candidates[best], motion[0]), cost
