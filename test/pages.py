@@ -140,7 +140,7 @@ def _file(name: str, text: str) -> str:
 
 def with_options(command: str, options: str) -> str:
     """Return a command with options in place of its own of these names, before those of ROS."""
-    words, given = shlex.split(command, comments=True), shlex.split(options)
+    words, given = _words(command), shlex.split(options)
     names = {word for word in given if word.startswith("--")}
     kept: list[str] = []
     taken = False
@@ -152,11 +152,16 @@ def with_options(command: str, options: str) -> str:
     return " ".join(word if word.startswith("$") else shlex.quote(word) for word in (*kept[:end], *given, *kept[end:]))
 
 
+def _words(command: str) -> list[str]:
+    """Return the words of a command, without comments; it may go on over several lines."""
+    return shlex.split(command.replace("\\\n", " "), comments=True)
+
+
 def node_of(command: str) -> str | None:
     """Return package and executable of a command that starts a node in the foreground, or the script's name."""
     if ("\n" in command and "\\\n" not in command) or not command.startswith(("ros2 run ", "python ")):
         return None
-    words = shlex.split(command, comments=True)
+    words = _words(command)
     if "--help" in words or "&" in words:
         return None
     if match := _RUN.match(command):
