@@ -36,21 +36,22 @@ def draw_ladder(figures: Mapping[str, Any], learner: str, folder: Path) -> list[
     tasks = [
         task for (task, way), curve in curves.items() if way == "best_progress" and len(curve["success"]) >= _SEEDS
     ]
+    compared = {way: name for way, name in _COMPARED.items() if any((task, way) in curves for task in tasks)}
     ends = {
         way: {_words(task): [100.0 * seed[-1] for seed in curves[task, way]["success"]] for task in tasks
-              if (task, way) in curves} for way in _COMPARED
+              if (task, way) in curves} for way in compared
     }  # fmt: skip
     learnt = {way: sum(np.mean(seeds) >= 100.0 * _LEARNT for seeds in each.values()) for way, each in ends.items()}
-    told = ", ".join(f"{name} {learnt[way]}" for way, name in _COMPARED.items() if ends[way])
+    told = ", ".join(f"{name} {learnt[way]}" for way, name in compared.items())
     title = f"{learner.upper()} learns, of {len(tasks)} tasks: {told}"
     panels = [
-        Panel(_words(task), [line_of(way, name, curves[task, way], "success") for way, name in _COMPARED.items()
+        Panel(_words(task), [line_of(way, name, curves[task, way], "success") for way, name in compared.items()
                              if (task, way) in curves])
         for task in tasks
     ]  # fmt: skip
     out = [folder / f"ladder_{learner}.svg", folder / f"ladder_{learner}_ends.svg"]
     draw_learning(out[0], title, panels)
-    draw_ends(out[1], title, ends, {way: WAYS[way].label if len(name) < 9 else name for way, name in _COMPARED.items()})
+    draw_ends(out[1], title, ends, {way: WAYS[way].label if len(name) < 9 else name for way, name in compared.items()})
     return out
 
 
