@@ -8,7 +8,7 @@
     runs = ctrl_rl.drive(task, policy, seeds=range(100), filter="safety")
     policy.save("mine.safetensors")
 
-Gymnasium makes the tasks by name: `gymnasium.make("ctrl_rl.environments:ctrl_rl/car_ttr-v0")`, `make_vec` for a fleet.
+Gymnasium makes the tasks by name: `gymnasium.make("sim_bridge.environments:ctrl_rl/car_ttr-v0")`, or `make_vec`.
 
 A name is imported when it is first used: a robot without torch, a simulator or ROS can import the package.
 """

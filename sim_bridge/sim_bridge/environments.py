@@ -2,6 +2,7 @@
 
     import gymnasium, sim_bridge.environments
     environment = gymnasium.make("ctrl_rl/car_ttr-v0")
+    environments = gymnasium.make_vec("ctrl_rl/car_ttr-v0", num_envs=16)   # a fleet, some thousand samples a second
     environments = gymnasium.make_vec("ctrl_rl/curved_corridor-v0", num_envs=4, vectorization_mode="sync")
 
 Each environment owns a physics engine; close it when done. To skip the import of this module, use the name
@@ -141,12 +142,17 @@ class NavigationEnv(gymnasium.Env[Vector, Vector]):
 
 def register_environments() -> tuple[str, ...]:
     """Register each navigation task as ctrl_rl/NAME-v0 and return the environment ids."""
-    names = [name for name in task_names() if isinstance(load_task(name), NavigationTask)]
-    ids = tuple(f"ctrl_rl/{name}-v0" for name in names)
-    for name, identifier in zip(names, ids, strict=True):
-        if identifier not in gymnasium.registry:
-            gymnasium.register(identifier, "sim_bridge.environments:NavigationEnv", kwargs={"task": name})
-    return ids
+    tasks = {name: task for name in task_names() if isinstance(task := load_task(name), NavigationTask)}
+    for name, task in tasks.items():
+        alone = task.corridor or task.movers or task.randomisation  # a fleet's world stays as it is
+        gymnasium.registry.pop(identifier := f"ctrl_rl/{name}-v0", None)
+        gymnasium.register(
+            identifier,
+            "sim_bridge.environments:NavigationEnv",
+            vector_entry_point=None if alone else "sim_bridge.fleet:NavigationVectorEnv",
+            kwargs={"task": name},
+        )
+    return tuple(f"ctrl_rl/{name}-v0" for name in tasks)
 
 
 register_environments()

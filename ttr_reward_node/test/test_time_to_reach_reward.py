@@ -273,3 +273,13 @@ def test_a_robot_learns_its_way_by_it_where_the_goal_alone_teaches_nothing(value
         return TimeToReachReward(Yard(told=False), value, lambda seen: seen, own=5.0)
 
     assert success_after_learning(make, samples) >= 0.9
+
+
+def test_a_fleet_of_the_suite_is_paid_for_progress() -> None:
+    value = solve_value("car_ttr", counts=(31, 31, 16))
+    fleet = gymnasium.make_vec("sim_bridge.environments:ctrl_rl/car_ttr-v0", num_envs=3)
+    environments = TimeToReachVectorReward(fleet, value, own=0.0)
+    environments.reset(seed=0)
+    paid = [environments.step(np.tile((1.0, 0.0), (3, 1)).astype(np.float32))[1] for _ in range(5)]
+    assert np.shape(paid) == (5, 3)
+    assert np.max(paid) > 0.0

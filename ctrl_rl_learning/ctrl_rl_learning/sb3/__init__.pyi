@@ -26,5 +26,3 @@ from .records import listen as listen
 from .records import load_visits as load_visits
 from .training import Recorder as Recorder
 from .training import SimulatedRun as SimulatedRun
-from .vector_environment import TaskVectorEnv as TaskVectorEnv
-from .vector_environment import make_task_environment as make_task_environment

@@ -1,2 +1,3 @@
 from .planar_fleet import RATE as RATE
 from .planar_fleet import scans as scans
+from .vector_environment import NavigationVectorEnv as NavigationVectorEnv

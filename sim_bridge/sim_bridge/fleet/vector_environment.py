@@ -1,11 +1,11 @@
-"""Tasks as Gymnasium makes them by name: one robot in an engine, or a fleet of them as a vector environment.
+"""A fleet of robots as a Gymnasium vector environment, for any learner.
 
-environment = gymnasium.make("ctrl_rl.environments:ctrl_rl/car_ttr-v0")
-environments = gymnasium.make_vec("ctrl_rl.environments:ctrl_rl/car_ttr-v0", num_envs=16)
+environments = gymnasium.make_vec("sim_bridge.environments:ctrl_rl/car_ttr-v0", num_envs=16)
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,50 +14,39 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Outcome, load_navigation_task
-from ctrl_rl_learning.sb3.environment import Environment, Vector, make_environment, observation_scales
-from sim_bridge import PlanarFleet
+from ctrl_rl_core import NavigationTask, Outcome, load_navigation_task
+from sim_bridge.fleet.planar_fleet import PlanarFleet
+from sim_bridge.simulation.observation_bounds import observation_bounds
 
+Vector = NDArray[np.float32]
 _LARGEST_SEED = 2**32
 
 
-def make_task_environment(task: str, engine: str = "auto") -> Environment:
-    """Return the environment of a task by name, with the task's own rewards and scaled observations.
-
-    Args:
-        task: Name or file of the task.
-        engine: Physics engine, one of `sim_bridge.ENGINES`.
-
-    Raises:
-        CtrlRlError: The task does not exist, or has no such environment.
-    """
-    return make_environment(load_navigation_task(task), engine=engine)
-
-
-class TaskVectorEnv(VectorEnv[Vector, Vector, NDArray[Any]]):
+class NavigationVectorEnv(VectorEnv[Vector, Vector, NDArray[Any]]):
     """A fleet of robots of one task, each in a world of its own, simulated at once in the planar engine.
 
-    Observations (N, d) and actions (N, 2) in [-1, 1] are those of `make_task_environment`. An episode that ends begins
+    Observations (N, d), actions (N, 2) and rewards (N,) are those of `NavigationEnv`. An episode that ends begins
     anew in the same step; `info` then holds its last observation as `final_obs`, and its `outcome` and last `state` as
     `final_info`. `state` (N, n) in `info` are the true states.
 
     Args:
-        task: Name or file of the task.
+        task: A task, its name, or the path of its file.
         num_envs: Number of robots.
 
     Raises:
-        CtrlRlError: The task does not exist, or its world changes between episodes.
+        SimulationError: The world of the task changes between episodes, or the task has a corridor.
+        TaskError: The task does not exist.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - gymnasium's own form
 
-    def __init__(self, task: str, num_envs: int = 1) -> None:
-        loaded = load_navigation_task(task)
+    def __init__(self, task: NavigationTask | str | Path, num_envs: int = 1) -> None:
+        loaded = task if isinstance(task, NavigationTask) else load_navigation_task(task)
         self._fleet = PlanarFleet(loaded, num_envs)
-        self._middle, self._unit = observation_scales(loaded)
+        _, self._low, self._high = observation_bounds(loaded)
         self._random = [np.random.default_rng() for _ in range(num_envs)]
         self.num_envs = num_envs
-        self.single_observation_space = spaces.Box(-np.inf, np.inf, self._middle.shape, np.float32)
+        self.single_observation_space = spaces.Box(self._low, self._high)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -105,4 +94,4 @@ class TaskVectorEnv(VectorEnv[Vector, Vector, NDArray[Any]]):
         return {"state": self._fleet.states().copy(), "_state": np.ones(self.num_envs, dtype=bool)}
 
     def _observe(self) -> Vector:
-        return ((self._fleet.observations() - self._middle) / self._unit).astype(np.float32)
+        return np.clip(self._fleet.observations().astype(np.float32), self._low, self._high)
