@@ -197,7 +197,7 @@ def test_where_nothing_is_known_any_more_the_last_certified_escape_is_driven() -
 def test_what_nothing_certifies_goes_on_with_its_escape_unless_a_bound_does_not_hold(
     nearer: float, goes_on: bool
 ) -> None:
-    """A post seems nearer in the second scan, by an amount within the noise or beyond every bound."""
+    """A post seems nearer in the second scan, by twice the noise of two scans or beyond every bound."""
     model, raw, pose = ROBOTS["jackal"], np.array((1.6, 1.0)), np.array((0.096, 0.0, 0.0))
     post = np.column_stack((np.full(9, 0.85), np.linspace(0.0, 0.3, 9)))
     safety = SafetyFilter(model)
