@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation.cars.car_keeper import CarKeeper, News
+from ctrl_rl_navigation.cars.car_keeper import keep_car_value
 from ctrl_rl_navigation.cars.car_limits import CarLimits
 from ctrl_rl_navigation.cars.car_value import CarValue
 from ctrl_rl_navigation.cars.footprint import distances
 from ctrl_rl_navigation.cars.look_ahead import CarLookAhead
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
+from ctrl_rl_navigation.driving.value_keeper import Change
 from ctrl_rl_navigation.values.map_value import path_length
 
 Array = NDArray[np.float64]
@@ -43,7 +44,8 @@ class CarNavigator:
     def __init__(self, limits: CarLimits, options: NavigatorOptions | None = None) -> None:
         self.limits, self.options = limits, options or NavigatorOptions()
         self._ahead = CarLookAhead(limits, self.options.period, max(self.options.delay - self.options.period, 0.0))
-        self._keeper = CarKeeper(limits, self.options)
+        self._pose: Array | None = None
+        self._keeper = keep_car_value(limits, self.options, lambda: self._pose)
         self.path: Array = _NO_PATH
         self.layer: ObstacleLayer | None = None
         self.detour = 0.0
@@ -102,28 +104,28 @@ class CarNavigator:
 
     def stand_at(self, pose: Array) -> None:
         """Note that the car stands at a pose (3,) [m, m, rad] with straight wheels."""
-        self._keeper.pose = np.array(pose, np.float64)
+        self._pose = np.array(pose, np.float64)
         self._command = np.zeros(2)
         self._ahead.forget(stands=True)
 
     def poll(self, now: float) -> None:
         """Process finished background work at a steady time [s]; `decide` does this too."""
         news = self._keeper.poll(keep_goal=self._ended is None)
-        if news is News.NOTHING:
+        if news is Change.NOTHING:
             return
         self._best, self._best_at = math.inf, now
         self._solved_at, self._looked_at = now, -math.inf
-        self._taken = news is News.TAKEN
-        if news is News.MAP:
+        self._taken = news is Change.TAKEN
+        if news is Change.MAP:
             assert self._keeper.solver is not None
             map_, clearance = self._keeper.solver.map, self._keeper.solver.clearance
             self.layer = ObstacleLayer(map_, clearance, self.options.memory)
             self._field = distances(clearance, map_.resolution)
             self.poll(now)
-        elif news is News.GOAL:
+        elif news is Change.GOAL:
             self._ended, self._tries = None, 0
             self._ahead.forget()
-        elif news is News.REFUSED:
+        elif news is Change.REFUSED:
             self._ended, self.path = (NavigatorState.UNREACHABLE, self._keeper.reason), _NO_PATH
 
     def see(self, now: float, pose: Array, points: Array, empty: Array = _NO_PATH) -> None:  # noqa: ARG002 - as Navigator
@@ -142,7 +144,7 @@ class CarNavigator:
             movers: Positions of movers in the map frame, in the first two of their columns (m, 9) [m]: they count as
                 standing obstacles.
         """
-        self._keeper.pose = np.array(pose, np.float64)
+        self._pose = np.array(pose, np.float64)
         self.poll(now)
         self._ahead.sent(self._command)
         if self._keeper.solver is None:

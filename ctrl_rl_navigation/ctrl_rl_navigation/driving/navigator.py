@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState, stand
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, SPEEDS, TURNS_AFTER, LookAhead
+from ctrl_rl_navigation.driving.map_keeper import keep_map_value
 from ctrl_rl_navigation.driving.obstacle_changes import have_gone, on_the_way
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
 from ctrl_rl_navigation.driving.progress import PATIENCE, Progress
-from ctrl_rl_navigation.driving.value_keeper import Change, ValueKeeper
+from ctrl_rl_navigation.driving.value_keeper import Change
 from ctrl_rl_navigation.people import NOBODY
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import longest_time_beside
@@ -21,8 +22,6 @@ from ctrl_rl_navigation.values.map_value import MapValue, path_length
 
 Array = NDArray[np.float64]
 
-_INSIDE = 0.6
-"""Fraction of the goal tolerance at which the value is zero, so that the robot stops well within the tolerance."""
 _LOOK_PERIOD = 1.0
 """Interval between checks of the path [s]."""
 _SOLVE_PERIOD = 2.0
@@ -55,9 +54,7 @@ class Navigator:
             turns_after=turns,
             speeds=speeds,
         )
-        self._keeper = ValueKeeper(
-            limits, _INSIDE * self.options.tolerance, self.options.tolerance, self.options.inline
-        )
+        self._keeper = keep_map_value(limits, self.options)
         self.path: Array = _NO_PATH
         self.layer: ObstacleLayer | None = None
         self._ended: tuple[NavigatorState, str] | None = None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import Enum, auto
+from typing import Generic, TypeVar
 
 import numpy as np
 from ctrl_rl_core.processes import Job, start_job
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.driving.decision import Goal
 from ctrl_rl_navigation.errors import NavigationError
-from ctrl_rl_navigation.robot import DriveLimits
-from ctrl_rl_navigation.values.map_solver import MapSolver
-from ctrl_rl_navigation.values.map_value import MapValue
 
 Array = NDArray[np.float64]
+Solver = TypeVar("Solver")
+Value = TypeVar("Value")
+Work = Callable[[Callable[[float], None], Callable[[], bool]], Value]
+"""Solves a value; reports the completed fraction, and asks whether the value is still wanted."""
 _NONE: Array = np.empty((0, 2))
 
 
@@ -36,13 +39,13 @@ class Change(Enum):
     """Obstacles cover the current goal; the previous value is kept."""
 
 
-class ValueKeeper:
-    """Manages the value of the current goal.
+class ValueKeeper(Generic[Solver, Value]):
+    """Manages the value of the current goal; the old goal stays until the value of the next one is solved.
 
     Args:
-        limits: Size and speed of the robot.
-        radius: Distance from the goal at which the value is zero [m].
-        widest: Larger distance for goals that the robot cannot get that close to [m].
+        prepare: Returns the solver for a map; runs in the background.
+        plan: Returns what solves the value of a goal with unmapped obstacles (n, 2) [m]. The result runs in the
+            background.
         inline: Whether to solve values synchronously instead of in a thread.
 
     Attributes:
@@ -54,18 +57,23 @@ class ValueKeeper:
         solves: Number of values solved.
     """
 
-    def __init__(self, limits: DriveLimits, radius: float, widest: float, inline: bool) -> None:
-        self._limits, self._radius, self._widest, self._inline = limits, radius, widest, inline
-        self.solver: MapSolver | None = None
+    def __init__(
+        self,
+        prepare: Callable[[OccupancyMap], Solver],
+        plan: Callable[[Solver, Goal, Array], Work[Value]],
+        inline: bool,
+    ) -> None:
+        self._prepare, self._plan, self._inline = prepare, plan, inline
+        self.solver: Solver | None = None
         self.goal: Goal | None = None
-        self.value: MapValue | None = None
+        self.value: Value | None = None
         self.known: Array = _NONE
         self.reason = ""
         self.solves = 0
         self._next_goal: Goal | None = None
         self._obstacles: Array = _NONE
-        self._new_map: Job[MapSolver] | None = None
-        self._job: Job[MapValue] | None = None
+        self._new_map: Job[Solver] | None = None
+        self._job: Job[Value] | None = None
 
     @property
     def at_work(self) -> bool:
@@ -89,7 +97,7 @@ class ValueKeeper:
 
     def set_map(self, map_: OccupancyMap) -> None:
         """Start preparing another map."""
-        self._new_map = start_job(lambda _: MapSolver(map_, self._limits), self._inline)
+        self._new_map = start_job(lambda _: self._prepare(map_), self._inline)
 
     def ask(self, goal: Goal) -> None:
         """Start solving for another goal; an older request is dropped."""
@@ -119,7 +127,7 @@ class ValueKeeper:
             return self._take_value(self._job)
         return Change.NOTHING
 
-    def _take_map(self, job: Job[MapSolver], keep_goal: bool) -> None:
+    def _take_map(self, job: Job[Solver], keep_goal: bool) -> None:
         self._new_map = None
         if job.result is None:
             raise job.error or NavigationError("the map was not prepared")
@@ -129,7 +137,7 @@ class ValueKeeper:
         if self._next_goal is not None:
             self._solve(_NONE)
 
-    def _take_value(self, job: Job[MapValue]) -> Change:
+    def _take_value(self, job: Job[Value]) -> Change:
         self._job = None
         if job.error is not None and not isinstance(job.error, NavigationError):
             raise job.error
@@ -154,13 +162,13 @@ class ValueKeeper:
         if goal is None or solver is None:
             return
         self._obstacles = obstacles
+        solve = self._plan(solver, goal, obstacles)
 
-        def work(job: Job[MapValue]) -> MapValue:
+        def work(job: Job[Value]) -> Value:
             def report(share: float) -> None:
                 job.done = share
 
-            wanted = lambda: job.wanted  # noqa: E731
-            return solver.solve(goal.position, self._radius, obstacles, report, wanted, self._widest)
+            return solve(report, lambda: job.wanted)
 
         self._job = start_job(work, self._inline)
 
