@@ -1,1 +1,1 @@
-"""Drives on floors where doors are closed that are open on the map."""
+"""Drives on floors with doors that are open on the map but closed in the world."""

@@ -93,7 +93,7 @@ class Steering(Schema):
         turning_radius: Radius of the tightest turn, of the middle of the rear axle [m].
         rate: Maximum rate of the steering angle [rad/s].
         lag: Time constant with which the steering angle follows its command [s].
-        centre: Position of the middle of the rectangle `length` x `width` ahead of the rear axle [m].
+        centre: Distance from the rear axle forward to the middle of the rectangle `length` x `width` [m].
     """
 
     wheelbase: Radius

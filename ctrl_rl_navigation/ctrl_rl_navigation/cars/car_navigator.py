@@ -25,7 +25,7 @@ _LOOK_PERIOD, _SOLVE_PERIOD = 1.0, 2.0
 _PATIENCE, _PROGRESS = 6.0, 0.5
 """Time without progress after which the car counts as stuck [s], and the decrease of the time that is progress [s]."""
 _STOPPED = 0.1
-"""Fraction of the full speed below which a car at the goal has arrived."""
+"""Fraction of the full speed below which a car at the goal counts as arrived."""
 _NO_PATH: Array = np.empty((0, 2))
 _NOBODY: Array = np.empty((0, 9))
 

@@ -91,7 +91,7 @@ class BenchmarkTask:
 
 
 def title_of(name: str) -> str:
-    """Return the name of a task for files: without folders, only letters, digits and the signs . @ _ and -."""
+    """Return a task's name for use in file names: no folders, only letters, digits, ".", "@", "_" and "-"."""
     if name.endswith(".yaml"):
         return Path(name).stem
     short = re.sub(r"^(suite|gym):|^file:.*/", "", name)
