@@ -137,7 +137,7 @@ class OptionCoordinator(SuiteNode):
         self._window = self.create_timer(max(timeouts.batch_window, 1e-4), self._end_batch, clock=STEADY)
         self._window.cancel()
         self.create_timer(_HOUSEKEEPING_S, partial(self._work, self._coordinator.tick), clock=STEADY)
-        of_team = f"{len(self._robots)} robots of team '{self._coordinator.team}'"
+        of_team = f"{len(self._robots)} robots of team '{self._coordinator.team.name}'"
         self.get_logger().info(f"policy {self._policy_name(digest)}, {of_team}")
 
     def on_parameter_changed(self, name: str) -> None:
@@ -154,7 +154,7 @@ class OptionCoordinator(SuiteNode):
         self._reported = counts.copy()
         states = Counter(str(entry.state) for entry in coordinator.ledger.values())
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
-        figures |= {"team": coordinator.team, "clock set": self._now.task.jumps}
+        figures |= {"team": coordinator.team.name, "clock set": self._now.task.jumps}
         figures |= {"epochs not believed": coordinator.epochs_not_believed}
         figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
         if self._policy_times:

@@ -20,11 +20,13 @@ from option_coordinator.protocol.grants import (
     TASK_OVER,
     EpisodeRecorder,
     Refusal,
+    kept_work,
     refusal_of,
     refused_grant,
     standing_grant,
 )
-from option_coordinator.protocol.ledger import RobotState, State
+from option_coordinator.protocol.ledger import RobotState, State, all_wait, any_at_work
+from option_coordinator.protocol.overruns import OverrunLimit, exceeds
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     Answers,
@@ -34,9 +36,11 @@ from option_coordinator.protocol.protocol_types import (
     JointStep,
     Request,
     Status,
+    TeamId,
 )
 from option_coordinator.protocol.replica import Replica
 from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec, TeamQuery
+from option_coordinator.protocol.work_memory import WorkMemory
 
 
 class Coordinator(Replica):
@@ -47,10 +51,11 @@ class Coordinator(Replica):
         policy: Policy to query, see `policy_query`.
         digest: SHA-256 (hex) of the policy's file, empty for a policy without one.
         now: Time at which the coordinator begins to listen.
-        timeouts: Waiting times; the default ones if omitted.
+        timeouts: Waiting times and limits; the default ones if omitted.
         seed: Seed of the epochs, see `Election`; random by default.
         discount: Discount factor gamma of a low-level step.
-        team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
+        team: Name and digest of the team, see `Replica`; a name alone is a team without a digest.
+        memory: What the robots carry and have delivered; by default kept in memory only.
 
     Attributes:
         digest: SHA-256 (hex) of the policy's file, empty for a policy without one.
@@ -65,13 +70,17 @@ class Coordinator(Replica):
         timeouts: CoordinatorTimeouts | None = None,
         seed: int | None = None,
         discount: float = 1.0,
-        team: str = "",
+        team: TeamId | str = "",
+        memory: WorkMemory | None = None,
     ) -> None:
         self._robots = {robot.agent.name: robot for robot in robots}
         self._policy, self.digest = policy, digest
         self._discount = discount
-        self._query = TeamQuery(robots)
-        super().__init__(self._robots, timeouts or CoordinatorTimeouts(), now, seed, team)
+        timeouts = timeouts or CoordinatorTimeouts()
+        self._overruns = OverrunLimit(timeouts.most_overruns)
+        self._query = TeamQuery(robots, self._overruns)
+        team = TeamId(team) if isinstance(team, str) else team
+        super().__init__(self._robots, timeouts, now, seed, team, memory or WorkMemory())
 
     @property
     def batches(self) -> bool:
@@ -136,7 +145,7 @@ class Coordinator(Replica):
         return Answers(
             grants + decided.grants,
             decided.steps,
-            CoordinatorHeartbeat(self.epoch, self.team) if heartbeat_due else None,
+            CoordinatorHeartbeat(self.epoch, *self.team) if heartbeat_due else None,
         )
 
     def end_batch(self, now: ClockReading) -> Answers:
@@ -171,22 +180,32 @@ class Coordinator(Replica):
             return self._finish(entry, request, now)
         if refusal is not None:
             return self._refuse(request, now, refusal)
-        self._credit(entry, request)
+        if not request.work and (kept := self._memory.of(request.agent)):
+            return self._refuse(request, now, kept_work(kept))
+        self._credit(entry, request, now)
+        robot = self._robots[request.agent]
+        entry.given_up = self._overruns.verdict(robot.agent, request.legal, robot.safe_option)
+        if entry.given_up:
+            return self._retire(entry, request, Refusal("given up", entry.given_up), now)
         entry.ask(request.request_id, now.steady)
         entry.pending, entry.done = request, False
         self._due = min(self._due, now.steady + self._timeouts.batch_window)
         self._query.observe(request)
-        return self._decide(now) if self._all_wait() else Answers()
+        return self._decide(now) if all_wait(self.ledger.values()) else Answers()
 
     def _refuse(self, request: Request, now: ClockReading, refusal: Refusal) -> Answers:
         self.counts[f"refused: {refusal.kind}"] += 1
         return Answers([refused_grant(request, refusal, self.epoch, self.team, now)])
 
-    def _credit(self, entry: RobotState, request: Request) -> None:
-        """Credit the reward of the robot's last option, exactly once."""
+    def _credit(self, entry: RobotState, request: Request, now: ClockReading) -> None:
+        """Credit the reward of the robot's last option, exactly once, and record whether the option overran."""
+        if not entry.request_id:  # it has restarted
+            self._overruns.forget(entry.agent)
         if entry.option == NONE:
             return
         longest = self._robots[entry.agent].durations[entry.option]
+        overran = entry.cancelled or exceeds(now.task - entry.granted_at, longest)
+        self._overruns.record(entry.agent, entry.option, overran)
         if not self._recorder.credit(request.option_reward, entry.granted_at, longest):
             self.counts["rewards too large"] += 1
 
@@ -195,13 +214,23 @@ class Coordinator(Replica):
         if entry.done:
             return self._refuse(request, now, TASK_OVER)
         if math.isfinite(request.option_reward):
-            self._credit(entry, request)
+            self._credit(entry, request, now)
+        entry.done = True
+        return self._retire(entry, request, TASK_OVER, now)
+
+    def _retire(self, entry: RobotState, request: Request, refusal: Refusal, now: ClockReading) -> Answers:
+        """Record that a robot gets no more options; when none is at work any more, the episode ends."""
         entry.ask(request.request_id, now.steady)
         entry.end()
-        entry.pending, entry.done = None, True
-        at_work = any(e.runs or e.state is State.WAITING for e in self.ledger.values())
-        steps = [] if at_work else [self._last_step(now, terminated=True)]
-        return Answers(self._refuse(request, now, TASK_OVER).grants, steps)
+        entry.pending = None
+        grants = self._refuse(request, now, refusal).grants
+        given_up = any(e.given_up for e in self.ledger.values())
+        if any_at_work(self.ledger.values()) or (given_up and not self._recorder.open):
+            return Answers(grants)
+        for other in self.ledger.values():
+            if other.done:
+                self._memory.forget(other.agent)
+        return Answers(grants, [self._last_step(now, terminated=not given_up)])
 
     def _believe(self, entry: RobotState, status: Status, now: ClockReading) -> None:
         """Record an acknowledgement, or adopt a grant of another coordinator."""
@@ -235,12 +264,6 @@ class Coordinator(Replica):
 
     def _grant_of(self, entry: RobotState, now: ClockReading) -> Grant:
         return standing_grant(entry, self._robots[entry.agent], self.epoch, self.team, now)
-
-    def _all_wait(self) -> bool:
-        """Return whether every reachable robot is waiting, so that no further request can arrive."""
-        return all(
-            entry.phase in (State.WAITING, State.UNKNOWN) or entry.silence is not None for entry in self.ledger.values()
-        )
 
     def _decide_when_due(self, now: ClockReading) -> Answers:
         return self._decide(now) if now.steady >= self._due else Answers()

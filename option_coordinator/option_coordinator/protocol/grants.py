@@ -11,7 +11,7 @@ from option_coordinator.options.options import Agent, PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.ledger import RobotState
-from option_coordinator.protocol.protocol_types import Grant, GrantStatus, JointStep, Request
+from option_coordinator.protocol.protocol_types import Grant, GrantStatus, JointStep, Request, TeamId
 from option_coordinator.protocol.team import RobotSpec
 
 _TOO_LONG = "it exceeds its maximum duration: send a new request"
@@ -23,16 +23,29 @@ class Refusal(NamedTuple):
     Attributes:
         kind: Short reason, used as a counter key.
         reason: Full reason for the robot's log.
+        work: Work that the robot must take over, see `WorkMemory`.
     """
 
     kind: str
     reason: str
+    work: str = ""
 
 
 UNKNOWN_ROBOT = Refusal("unknown robot", "this team has no such robot")
 TASK_OVER = Refusal("task over", "the task is over")
 NOTHING_SAFE = Refusal("nothing safe", "policy failed, and the safe option is not legal")
 NUMBER_LEAPS = Refusal("request number leaps", "request_id grows by one per request: so many cannot have been missed")
+
+
+def other_file(own: str, theirs: str) -> Refusal:
+    """Return the refusal for a robot whose team file has other content: its options may have other indices."""
+    digests = f"digest {theirs[:12]}, the coordinator's {own[:12]}"
+    return Refusal("another team file", f"the robot's team file differs ({digests}): give both the same file")
+
+
+def kept_work(work: str) -> Refusal:
+    """Return the refusal for a robot that has restarted and does not know its work."""
+    return Refusal("work kept", "the robot was at work before it restarted: it goes on from there", work)
 
 
 def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: float) -> Refusal | None:
@@ -60,14 +73,14 @@ def refusal_of(request: Request, agent: Agent, epoch: int, age: float, oldest: f
     return None
 
 
-def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: str, now: ClockReading) -> Grant:
+def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: TeamId, now: ClockReading) -> Grant:
     """Return the answer to a robot's latest request: its grant, or the cancellation.
 
     Args:
         entry: Ledger entry of the robot.
         robot: Options of the robot.
         epoch: Epoch of the coordinator.
-        team: Name of the team.
+        team: Name and digest of the team.
         now: Time of a cancellation; a grant keeps the stamp and epoch of its decision.
     """
     cancelled = entry.cancelled
@@ -83,11 +96,12 @@ def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: str, n
         option=entry.option,
         option_name=robot.agent.options[entry.option],
         deadline=robot.durations[entry.option],
-        team=team,
+        team=team.name,
+        team_digest=team.digest,
     )
 
 
-def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now: ClockReading) -> Grant:
+def refused_grant(request: Request, refusal: Refusal, epoch: int, team: TeamId, now: ClockReading) -> Grant:
     """Return the message that refuses a request."""
     return Grant(
         stamp=now.stamp,
@@ -98,7 +112,9 @@ def refused_grant(request: Request, refusal: Refusal, epoch: int, team: str, now
         grant_id=0,
         status=GrantStatus.REFUSED,
         reason=refusal.reason,
-        team=team,
+        team=team.name,
+        team_digest=team.digest,
+        work=refusal.work,
     )
 
 

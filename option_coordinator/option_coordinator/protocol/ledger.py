@@ -7,6 +7,7 @@ it is suspect, later lost; it keeps its phase, so that it can continue if it ret
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -55,6 +56,7 @@ class RobotState:
         pending: Request awaiting a decision; None for none.
         repeat_at: Time at which an unacknowledged grant is sent again [s].
         done: Whether the robot has reported the end of its task.
+        given_up: Why the robot gets no more options, see `OverrunLimit.verdict`; empty if it does.
     """
 
     agent: str
@@ -75,6 +77,7 @@ class RobotState:
     pending: Request | None = None
     repeat_at: float = -math.inf
     done: bool = False
+    given_up: str = ""
 
     @property
     def state(self) -> State:
@@ -138,7 +141,7 @@ class RobotState:
         if incarnation != self.incarnation:
             self.incarnation, self.request_id, self.told_id = incarnation, 0, 0
             self.claims_since = self.pending = None
-            self.done = False
+            self.done, self.given_up = False, ""
             self._become_idle()
             self.option = NONE
         self.last_heard = max(now, self.last_heard)
@@ -255,3 +258,13 @@ class RobotState:
     def _must_be_heard(self) -> None:
         if self.phase is State.UNKNOWN or self.silence is not None:
             raise OptionError(f"'{self.agent}' is {self.state}: call heard() first")
+
+
+def all_wait(robots: Iterable[RobotState]) -> bool:
+    """Return whether every reachable robot is waiting, so that no further request can arrive."""
+    return all(robot.phase in (State.WAITING, State.UNKNOWN) or robot.silence is not None for robot in robots)
+
+
+def any_at_work(robots: Iterable[RobotState]) -> bool:
+    """Return whether a robot runs an option or waits for one."""
+    return any(robot.runs or robot.state is State.WAITING for robot in robots)

@@ -27,9 +27,10 @@ LARGEST_REWARD = 1e9
 LONGEST = 1e7
 """Maximum duration of an option [s]."""
 LONGEST_NAME = 255
+LONGEST_DIGEST = 64
 MOST_NUMBERS = 65536
 MOST_OPTIONS = 10000
-LARGEST_REQUEST = 4 * MOST_NUMBERS + MOST_OPTIONS + 2 * LONGEST_NAME + 1024
+LARGEST_REQUEST = 4 * MOST_NUMBERS + MOST_OPTIONS + 3 * LONGEST_NAME + 1024
 """Maximum size of a serialised OptionRequest [bytes]."""
 
 
@@ -82,6 +83,8 @@ def constants(kind: type[IntEnum]) -> Between:
 
 
 Name = Annotated[str, AtMost(LONGEST_NAME)]
+Work = Annotated[str, AtMost(LONGEST_NAME)]
+Digest = Annotated[str, AtMost(LONGEST_DIGEST)]
 Life = Annotated[int, Between(1, LARGEST_LIFE)]
 Count = Annotated[int, Between(0, LARGEST_COUNT)]
 CountFrom1 = Annotated[int, Between(1, LARGEST_COUNT)]
@@ -127,6 +130,8 @@ class Request:
     option_duration: int = 0
     terminated: bool = False
     team: Name = ""
+    team_digest: Digest = ""
+    work: Work = ""
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,7 @@ class Status:
     option: int = 0
     elapsed: Duration = 0.0
     team: Name = ""
+    team_digest: Digest = ""
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,8 @@ class Grant:
     option_name: str = ""
     deadline: Duration = 0.0
     team: Name = ""
+    team_digest: Digest = ""
+    work: Work = ""
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,7 @@ class CoordinatorHeartbeat:
 
     coordinator_epoch: CountFrom1
     team: Name = ""
+    team_digest: Digest = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +202,23 @@ class JointStep:
 def same_team(one: str, other: str) -> bool:
     """Return whether two messages may belong to the same team; messages without a team, from older peers, match any."""
     return one == other or not one or not other
+
+
+def same_file(one: str, other: str) -> bool:
+    """Return whether two digests may be those of one team file; an empty one is unknown and matches any."""
+    return one == other or not one or not other
+
+
+class TeamId(NamedTuple):
+    """Identity of a team in messages.
+
+    Attributes:
+        name: Name of the team, empty for unnamed.
+        digest: Digest of the team's robots, options and stations, see `TeamFile.digest`; empty for unknown.
+    """
+
+    name: str = ""
+    digest: str = ""
 
 
 @dataclass(frozen=True)

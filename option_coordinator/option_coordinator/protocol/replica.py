@@ -14,10 +14,19 @@ from collections.abc import Iterable
 from option_coordinator.errors import OptionError
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Election
-from option_coordinator.protocol.grants import UNKNOWN_ROBOT, Refusal
+from option_coordinator.protocol.grants import UNKNOWN_ROBOT, Refusal, other_file
 from option_coordinator.protocol.ledger import RobotState, State
-from option_coordinator.protocol.protocol_types import Answers, CoordinatorHeartbeat, Request, Status, same_team
+from option_coordinator.protocol.protocol_types import (
+    Answers,
+    CoordinatorHeartbeat,
+    Request,
+    Status,
+    TeamId,
+    same_file,
+    same_team,
+)
 from option_coordinator.protocol.team import CoordinatorTimeouts
+from option_coordinator.protocol.work_memory import WorkMemory
 
 LATE = 0.5
 """Time without a tick after which a coordinator listens before continuing [leases]."""
@@ -37,18 +46,27 @@ class Replica:
         timeouts: Waiting times of the coordinator.
         now: Time at which listening starts.
         seed: Seed of the epochs, as for `Election`.
-        team: Name of the team, empty for unnamed. A named team ignores messages of other teams.
+        team: Name and digest of the team. A named team ignores messages of other teams; a robot whose team file has
+            another digest gets no options.
+        memory: What the robots carry and have delivered.
 
     Attributes:
         ledger: State of each robot by name, in the policy's order.
-        team: Name of the team, empty for unnamed.
+        team: Name and digest of the team.
         counts: Counters of events, for diagnostics.
     """
 
     def __init__(
-        self, robots: Iterable[str], timeouts: CoordinatorTimeouts, now: ClockReading, seed: int | None, team: str
+        self,
+        robots: Iterable[str],
+        timeouts: CoordinatorTimeouts,
+        now: ClockReading,
+        seed: int | None,
+        team: TeamId,
+        memory: WorkMemory,
     ) -> None:
         self._names, self._timeouts, self.team = tuple(robots), timeouts, team
+        self._memory = memory
         self.counts: Counter[str] = Counter()
         self._election = Election(now.steady, timeouts.lease, seed)
         self._quiet_until = -math.inf
@@ -81,9 +99,11 @@ class Replica:
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> Answers:
         """Handle the heartbeat of a coordinator, possibly its own; the answer is empty."""
-        if not same_team(heartbeat.team, self.team):
+        if not same_team(heartbeat.team, self.team.name):
             self.counts["words of other teams"] += 1
             return Answers()
+        if not same_file(heartbeat.team_digest, self.team.digest):
+            self.counts["coordinators with another team file"] += 1
         self._wake(now)
         if self._election.on_coordinator_heartbeat(heartbeat.coordinator_epoch, now.steady):
             self._step_down(now)
@@ -118,21 +138,24 @@ class Replica:
         return bool(self.epoch) and now.steady >= self._quiet_until
 
     def _hear(self, told: Request | Status, now: ClockReading) -> RobotState | Refusal | None:
-        """Record a sign of life and the epoch claimed in it.
+        """Record a sign of life, the epoch claimed in it, and the robot's work.
 
         Returns:
             The robot's state; or, if the message is ignored, a refusal for a robot of this team, or None.
         """
-        if not same_team(told.team, self.team):
+        if not same_team(told.team, self.team.name):
             self.counts["messages of other teams"] += 1
             return None
         entry = self.ledger.get(told.agent)
         if entry is None:
             self.counts["messages of unknown robots"] += 1
-            own = told.team == self.team != ""  # a robot without a team name may belong to another team
+            own = told.team == self.team.name != ""  # a robot without a team name may belong to another team
             return UNKNOWN_ROBOT if own else None
         self._wake(now)
         self._on_claim(entry, told, now)
+        if not same_file(told.team_digest, self.team.digest):
+            self.counts["messages with another team file"] += 1
+            return other_file(self.team.digest, told.team_digest)
         if entry.is_early(told.incarnation):
             self.counts["second lives"] += 1
             return None
@@ -143,6 +166,8 @@ class Replica:
             return Refusal("old life", str(error))
         if returns:
             self.counts["returned robots"] += 1
+        if isinstance(told, Request) and told.work and told.request_id >= entry.request_id:
+            self.counts["works not written"] += not self._memory.keep(told.agent, told.work)
         return entry
 
     def _on_claim(self, entry: RobotState, told: Request | Status, now: ClockReading) -> None:

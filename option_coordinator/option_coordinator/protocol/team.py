@@ -11,6 +11,7 @@ import numpy as np
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import NONE, Agent, PolicyQuery, option_mask
 from option_coordinator.protocol.ledger import RobotState
+from option_coordinator.protocol.overruns import OverrunLimit
 from option_coordinator.protocol.protocol_types import LONGEST, Request
 
 
@@ -39,7 +40,7 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class CoordinatorTimeouts:
-    """Waiting times of a coordinator [s].
+    """Limits of a coordinator; times in [s].
 
     Attributes:
         batch_window: Time for which the first pending request waits for others.
@@ -49,6 +50,7 @@ class CoordinatorTimeouts:
         stale: Age above which an observation is refused.
         policy_limit: Time limit of a policy query.
         time_step: Duration of a low-level step, the unit of reported durations.
+        most_overruns: Consecutive overruns after which a robot is not granted an option again; 0 for no limit.
     """
 
     batch_window: float = 0.0
@@ -58,6 +60,7 @@ class CoordinatorTimeouts:
     stale: float = 2.0
     policy_limit: float = 0.05
     time_step: float = 1.0
+    most_overruns: int = 3
 
 
 class TeamQuery:
@@ -65,14 +68,17 @@ class TeamQuery:
 
     Args:
         robots: Robots, in the policy's order.
+        overruns: Options that overran too often, which are not legal.
 
     Attributes:
         index: Index of each robot in the policy's order, by name.
         safe_options: Safe option of each robot, in the policy's order.
     """
 
-    def __init__(self, robots: Sequence[RobotSpec]) -> None:
-        names = [robot.agent.name for robot in robots]
+    def __init__(self, robots: Sequence[RobotSpec], overruns: OverrunLimit) -> None:
+        self._overruns = overruns
+        self._agents = [robot.agent for robot in robots]
+        names = [agent.name for agent in self._agents]
         self.index = {name: index for index, name in enumerate(names)}
         self.safe_options = [robot.safe_option for robot in robots]
         self._options = option_mask([len(robot.agent.options) for robot in robots])
@@ -88,9 +94,8 @@ class TeamQuery:
         """Return the query in which the robots in `requests` choose, and the others run the options in the ledger."""
         legal, choosing = self._options.copy(), np.zeros(len(self.index), bool)
         for name, request in requests.items():
-            index = self.index[name]
+            index, agent = self.index[name], self._agents[self.index[name]]
             choosing[index] = True
-            if np.size(request.legal):
-                legal[index, : np.size(request.legal)] = request.legal
+            legal[index, : len(agent.options)] = self._overruns.allowed(agent, request.legal)
         running = np.array([entry.option if entry.runs else NONE for entry in ledger.values()])
         return PolicyQuery(self._observed.copy(), choosing, running, legal)
