@@ -80,8 +80,8 @@ class SimulatedRobot:
         self.inbox = []
         self.running = None
         self.accepted = set()
-        size = len(self.robot.durations)
-        self.client = OptionClient(self.robot.agent.name, size, self, next(INCARNATIONS), timeouts=TIMEOUTS)
+        names = self.robot.agent.options
+        self.client = OptionClient(self.robot.agent.name, names, self, next(INCARNATIONS), timeouts=TIMEOUTS)
         self.ask(now)
 
     def ask(self, now):

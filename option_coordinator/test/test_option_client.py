@@ -29,7 +29,9 @@ class Log:
 
 @pytest.fixture
 def robot():
-    client = OptionClient("r0", 3, Log(), incarnation=7, safe_option=2, timeouts=ClientTimeouts(0.1, 0.1, 1.0))
+    client = OptionClient(
+        "r0", ("a", "b", "c"), Log(), incarnation=7, safe_option=2, timeouts=ClientTimeouts(0.1, 0.1, 1.0)
+    )
     client.ask(at(0.0))
     return client
 

@@ -11,7 +11,7 @@ from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 
 from ctrl_rl_core import ScanGeometry
-from option_coordinator.protocol.option_client import AgentObservation, OptionResult
+from option_coordinator.protocol.option_executor import AgentObservation, OptionResult
 from option_coordinator.teams.team_file import TeamFile, Work
 
 Array = NDArray[np.float64]

@@ -24,7 +24,8 @@ from ctrl_rl_core import (
 )
 from option_coordinator.navigation.delivery import STAND, Delivery, ReactivePlanner, scan_points
 from option_coordinator.nodes.option_agent import OptionAgent
-from option_coordinator.protocol.option_client import AgentObservation, ClientTimeouts, OptionResult
+from option_coordinator.protocol.option_client import ClientTimeouts
+from option_coordinator.protocol.option_executor import AgentObservation, OptionResult
 from option_coordinator.teams.team_file import load_team
 
 _STAND = np.array(STAND)

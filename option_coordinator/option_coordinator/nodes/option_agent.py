@@ -6,13 +6,15 @@
             self.agent = OptionAgent(self, "robot_1", ("wait", "shelf", "desk"), executor=self)
             self.agent.start()
 
-`executor` has the three methods of `OptionExecutor`: `observe`, `begin` and `leave`. The node calls `agent.ended(...)`
-when an option has terminated. Repetitions, heartbeats, acknowledgements, cancellation and the safe option are handled
-here.
+`executor` has the three methods of `OptionExecutor`: `observe`, `begin` and `leave`; with a fourth, `resume`, its work
+outlives its process (see `Resumes`). The node calls `agent.ended(...)` when an option has terminated. Repetitions,
+heartbeats, acknowledgements, cancellation and the safe option are handled here. The node's log has the reason of each
+refusal.
 """
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -24,11 +26,13 @@ from rclpy.node import Node
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
 from option_coordinator.nodes.messages import EXCHANGE, grant_of, heartbeat_of, request_message, status_message
 from option_coordinator.protocol.clock_reading import ClockReading, TaskTime
-from option_coordinator.protocol.option_client import ClientTimeouts, OptionClient, OptionExecutor, OptionResult
-from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request
+from option_coordinator.protocol.option_client import ClientTimeouts, OptionClient
+from option_coordinator.protocol.option_executor import OptionExecutor, OptionResult
+from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request, TeamId
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """Clock for timers that must run while the ROS clock is adjusted or paused."""
+_SAID_EVERY_S = 10.0
 
 
 def steady_time() -> float:
@@ -69,7 +73,7 @@ class OptionAgent:
         safe_option: Index of the option to run while no grant arrives.
         timeouts: Periods and waiting times; the default ones if omitted.
         namespace: Namespace of the coordinator's topics; the node's own if empty.
-        team: Name of the team; may be empty if the namespace has only one team.
+        team: Name of the team, and the digest of its file if known; may be empty if the namespace has only one team.
 
     Attributes:
         client: Client that talks to the coordinator.
@@ -84,12 +88,13 @@ class OptionAgent:
         safe_option: int = 0,
         timeouts: ClientTimeouts | None = None,
         namespace: str = "",
-        team: str = "",
+        team: TeamId | str = "",
     ) -> None:
         timeouts = timeouts or ClientTimeouts()
-        self._now = Clocks(node)
+        self._now, self._node = Clocks(node), node
+        self._said: tuple[str, float] = ("", 0.0)
         # Incarnations of a robot are identified and ordered by their start on the wall clock, which persists.
-        self.client = OptionClient(name, len(options), executor, time.time_ns(), safe_option, timeouts, team)
+        self.client = OptionClient(name, options, executor, time.time_ns(), safe_option, timeouts, team)
         prefix = f"{namespace.rstrip('/')}/" if namespace else ""
         self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)
         self._statuses = node.create_publisher(AgentStatus, f"{prefix}agent_status", EXCHANGE)
@@ -135,8 +140,19 @@ class OptionAgent:
 
     def _send_due(self) -> None:
         now = self._now()
+        self._report_problem(now.steady)
         for message in self.client.due_messages(now):
             if isinstance(message, Request):
                 self._requests.publish(request_message(message))
             else:
                 self._statuses.publish(status_message(message, now.stamp))
+
+    def _report_problem(self, now: float) -> None:
+        """Log why the robot has no option: at once, and again from time to time; numbers alone are no news."""
+        problem = self.client.problem
+        if not problem:
+            return
+        kind, (last, at) = re.sub(r"[\d.]+", "#", problem), self._said
+        if kind != last or now - at > _SAID_EVERY_S:
+            self._said = kind, now
+            self._node.get_logger().warning(f"{self.client.name}: {problem}")

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from option_coordinator.options.options import Mask, Observation
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Epochs
+from option_coordinator.protocol.option_executor import OptionExecutor, OptionResult, Resumes
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     CoordinatorHeartbeat,
@@ -23,45 +23,10 @@ from option_coordinator.protocol.protocol_types import (
     GrantStatus,
     Request,
     Status,
+    TeamId,
+    same_file,
     same_team,
 )
-
-
-class AgentObservation(NamedTuple):
-    """Observation of a robot, sent with a request.
-
-    Attributes:
-        observation: Observation for the policy (observation_size,).
-        legal: Whether the robot may start each of its options (K,); empty for all.
-    """
-
-    observation: Observation
-    legal: Mask
-
-
-class OptionResult(NamedTuple):
-    """Reward and duration of a completed option.
-
-    Attributes:
-        reward: Discounted reward sum_i gamma^i r_i, this robot's share of the team's reward.
-        steps: Number of low-level steps.
-    """
-
-    reward: float = 0.0
-    steps: int = 0
-
-
-class OptionExecutor(Protocol):
-    """Runs options; calls `OptionClient.ended` when one has terminated."""
-
-    def observe(self) -> AgentObservation:
-        """Return the current observation."""
-
-    def begin(self, option: int) -> None:
-        """Start an option."""
-
-    def leave(self) -> OptionResult:
-        """Stop the running option immediately and return its result."""
 
 
 @dataclass(frozen=True)
@@ -87,40 +52,43 @@ class OptionClient:
 
     Args:
         name: Name of the robot in its team.
-        options: Number of the robot's options.
+        options: Names of the robot's options, in order.
         executor: Executor of the options.
         incarnation: Incarnation of the robot's process, which increases with each start.
         safe_option: Index of the option to run while no grant arrives.
         timeouts: Periods and waiting times; the default ones if omitted.
-        team: Name of the team; if empty, that of the last accepted grant.
+        team: Name and digest of the team; without a name, that of the last accepted grant.
 
     Attributes:
         state: State reported in heartbeats.
         request_id: Number of the latest request.
         grant: Current or last grant; None before the first.
         finished: Whether the task is over and the coordinator has been informed.
+        problem: Why the robot has no granted option, for log and diagnostics; empty if it has, or only waits.
         counts: Counters of events, for diagnostics.
     """
 
     def __init__(
         self,
         name: str,
-        options: int,
+        options: Sequence[str],
         executor: OptionExecutor,
         incarnation: int,
         safe_option: int = 0,
         timeouts: ClientTimeouts | None = None,
-        team: str = "",
+        team: TeamId | str = "",
     ) -> None:
         self.name, self.incarnation = name, incarnation
-        self._options, self._executor, self._safe = options, executor, safe_option
+        self._options, self._executor, self._safe = tuple(options), executor, safe_option
         self._timeouts = timeouts or ClientTimeouts()
         self.state = AgentState.IDLE
         self.request_id = 0
         self.grant: Grant | None = None
         self.finished = False
+        self.problem = ""
         self.counts: Counter[str] = Counter()
-        self._team = team
+        self._team = TeamId(team) if isinstance(team, str) else team
+        self._knows_work = False
         self._epochs = Epochs(self._timeouts.waiting)
         self._request: Request | None = None
         self._result = OptionResult()
@@ -150,7 +118,9 @@ class OptionClient:
             option_reward=result.reward,
             option_duration=result.steps,
             terminated=terminated,
-            team=self._team,
+            team=self._team.name,
+            team_digest=self._team.digest,
+            work=seen.work if self._knows_work else "",
         )
 
     def ended(self, now: ClockReading, result: OptionResult | None = None, terminated: bool = False) -> None:
@@ -160,13 +130,15 @@ class OptionClient:
 
     def on_coordinator_heartbeat(self, heartbeat: CoordinatorHeartbeat, now: ClockReading) -> None:
         """Adopt the epoch of the team's coordinator; grants of lower epochs are ignored from now on."""
-        follows = self._team or (self.grant.team if self.grant is not None else None)
+        follows = self._team.name or (self.grant.team if self.grant is not None else None)
         if heartbeat.team == follows and not self._epochs.believe(heartbeat.coordinator_epoch, now.steady):
             self.counts["epochs not believed"] += 1
 
     def on_grant(self, grant: Grant, now: ClockReading) -> None:
         """Handle an answer; ignore one to an older request or incarnation, of a lower epoch or of another team."""
-        if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(grant.team, self._team):
+        if (grant.agent, grant.incarnation) != (self.name, self.incarnation) or not same_team(
+            grant.team, self._team.name
+        ):
             return
         if grant.coordinator_epoch < self.epoch:
             self.counts["lower epochs"] += 1
@@ -179,11 +151,12 @@ class OptionClient:
         wanting = self.state in _WANTING
         if grant.status is GrantStatus.REFUSED:
             if wanting:
-                self._refused(now, grant.coordinator_epoch)
-        elif self._over:
+                self._refused(grant, now)
+        elif self._over or not self._understands(grant):
             return
         elif grant.status is GrantStatus.CANCELLED:
             self.counts["cancelled"] += 1
+            self.problem = f"'{grant.option_name}' was cancelled: {grant.reason}"
             self.ask(now, self._stop())
         elif wanting:
             self._accept(grant, now)
@@ -194,10 +167,12 @@ class OptionClient:
         """Advance time: start the safe option if no grant arrives or an option exceeds its deadline."""
         if self.state is AgentState.RUNNING and self.grant and now.task - self._began_at > self.grant.deadline:
             self.counts["deadlines"] += 1
+            self.problem = f"'{self._options[self.grant.option]}' exceeded its {self.grant.deadline:g} s"
             self.ask(now, self._stop())
             self._fall_back()
         elif self._waits and now.steady - self._asked_at > self._timeouts.waiting:
             self.counts["unanswered"] += 1
+            self.problem = self.problem or "no coordinator answers"
             self._fall_back()
 
     def due_messages(self, now: ClockReading) -> list[Request | Status]:
@@ -220,30 +195,56 @@ class OptionClient:
     def _over(self) -> bool:
         return self._request is not None and self._request.terminated
 
-    def _accept(self, grant: Grant, now: ClockReading) -> None:
-        if not 0 <= grant.option < self._options or grant.deadline <= 0.0:
+    def _understands(self, grant: Grant) -> bool:
+        """Return whether the coordinator means the robot's own options; otherwise say so and ignore the grant."""
+        own = self._options[grant.option] if 0 <= grant.option < len(self._options) else ""
+        if not same_file(grant.team_digest, self._team.digest):
+            digests = f"digest {grant.team_digest[:12]}, this robot's {self._team.digest[:12]}"
+            self.problem = f"the coordinator's team file differs ({digests}): give both the same file"
+            self.counts["grants of another team file"] += 1
+        elif not own or grant.deadline <= 0.0:
             self.counts["impossible grants"] += 1
-            return
+        elif grant.option_name not in ("", own):
+            theirs = f"option {grant.option} is '{grant.option_name}' for the coordinator"
+            self.problem = f"{theirs} and '{own}' here: give both the same options"
+            self.counts["grants of other options"] += 1
+        else:
+            return True
+        return False
+
+    def _accept(self, grant: Grant, now: ClockReading) -> None:
+        self._knows_work, self.problem = True, ""
         if self.state is AgentState.FALLBACK:
             self._executor.leave()
         self.state, self.grant = AgentState.RUNNING, grant
         self._began_at, self._status_at = now.task, now.steady
         self._executor.begin(grant.option)
 
-    def _refused(self, now: ClockReading, epoch: int) -> None:
+    def _refused(self, grant: Grant, now: ClockReading) -> None:
         """Repeat the request at once if only the epoch was unknown; otherwise make a new request and observation.
 
         A request never changes; otherwise the legal options would depend on which copy was answered.
         """
         self.counts["refused"] += 1
         if self._over:
-            self.state, self.finished = AgentState.IDLE, True
-        elif self._request is not None and epoch > self._request.coordinator_epoch:
+            self.state, self.finished, self.problem = AgentState.IDLE, True, ""
+        elif self._request is not None and grant.coordinator_epoch > self._request.coordinator_epoch:
             self._request_at = now.steady
         else:
+            self.problem = f"refused: {grant.reason}"
+            if grant.work and not self._knows_work:
+                self._resume(grant.work)
             state, asked_at = self.state, self._asked_at
             self.ask(now, self._result)
             self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._timeouts.repeat
+
+    def _resume(self, work: str) -> None:
+        """Take over the work that the coordinator has kept."""
+        if isinstance(self._executor, Resumes):
+            self._executor.resume(work)
+            self._knows_work, self.problem = True, ""
+        else:
+            self.problem = f"the coordinator keeps work that this robot cannot take over: {work!r}"
 
     def _fall_back(self) -> None:
         self.state = AgentState.FALLBACK
@@ -267,5 +268,6 @@ class OptionClient:
             grant_id=grant.grant_id if grant else 0,
             option=grant.option if grant else 0,
             elapsed=now.task - self._began_at if grant and runs else 0.0,
-            team=self._team,
+            team=self._team.name,
+            team_digest=self._team.digest,
         )
