@@ -21,6 +21,12 @@ def test_a_worse_robot_touches_nothing_from_the_first_metre_on(robot: str) -> No
         assert not math.isnan(found.grown), seed
 
 
+@pytest.mark.parametrize(("seed", "speed"), [(1003, 1.0), (1025, 2.0)])
+def test_a_delay_known_within_bounds_is_reckoned_with_at_both(seed: int, speed: float) -> None:
+    # Alternating turns turn this robot elsewhere if they act 50 ms sooner than the longest delay says.
+    assert ride("jackal", seed, WORSE, speed, monitored=True).clearance > 0.01
+
+
 def test_without_a_monitor_it_does() -> None:
     assert any(ride("jackal", seed, WORSE, WALKING, monitored=False).contact for seed in range(4))
 

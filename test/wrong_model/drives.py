@@ -106,8 +106,7 @@ def ride(robot: str | RobotModel, seed: int, fault: Fault, fastest: float, monit
         measured = _measured(state, scales, luck)
         if monitor is not None and step % _ODOMETRY == 0:
             monitor.motion.measure(now, measured[:3], float(measured[3]), float(measured[4]))
-            if safety.model != monitor.model:
-                safety.adopt(monitor.model)
+            safety.adopt(monitor.model, monitor.soonest)
             if math.isnan(grown) and (monitor.words() or monitor.problem):
                 grown = now - fault.begins
         if step % _SCAN == 0:

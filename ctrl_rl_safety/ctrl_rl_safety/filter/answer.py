@@ -10,7 +10,7 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.filter.certificate import AWAY, Situation, best_turn, certify, hold, hopeless
+from ctrl_rl_safety.filter.certificate import AWAY, Situation, Sooner, best_turn, certify, hold, hopeless
 from ctrl_rl_safety.filter.manoeuvres import around, manoeuvre, stopping_time
 from ctrl_rl_safety.models.growth import Growth, fixed_growth, standing_growth
 from ctrl_rl_safety.models.motion import STANDS
@@ -223,7 +223,9 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 @njit
 def _changed(sit: Any, growth: Any, core: tuple[float, float], rooms: tuple[float, float], close: bool) -> Any:
     """Return a situation with other motion bounds and another robot; `_replace` is unavailable in compiled code."""
-    return Situation(sit.obstacles, growth, sit.motion, sit.guide, core, rooms, close, sit.hold, sit.turn_rate, sit.lag)
+    return Situation(
+        sit.obstacles, growth, sit.motion, sit.guide, core, rooms, close, sit.hold, sit.turn_rate, sit.lag, sit.sooner
+    )
 
 
 @njit
@@ -254,7 +256,17 @@ def _local(sit: Any, ask: Any, state: tuple[float, float, float, float, float], 
     grown = max(fixed_growth(t + longest + stop, sit.growth), standing_growth(t + longest + stop, sit.growth))
     near = around(sit.obstacles, state[0], state[1], way + extent + grown + 2.0 * CAP)
     return Situation(
-        near, sit.growth, sit.motion, sit.guide, sit.core, sit.rooms, sit.close, sit.hold, sit.turn_rate, sit.lag
+        near,
+        sit.growth,
+        sit.motion,
+        sit.guide,
+        sit.core,
+        sit.rooms,
+        sit.close,
+        sit.hold,
+        sit.turn_rate,
+        sit.lag,
+        sit.sooner,
     )
 
 
@@ -275,8 +287,36 @@ def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, f
     return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
 
 
+@njit
+def _follow(sit: Any, state: tuple[float, float, float, float, float], t: float, commands: Array) -> Any:
+    """Return state, time and minimum margin after the commands under way, one in each time step (n, 2)."""
+    least = FAR
+    for k in range(len(commands)):
+        state, t, margin = hold(sit, state, t, commands[k, 0], commands[k, 1], 1)
+        least = min(least, margin)
+    return state, t, least
+
+
+@njit
+def _after(sit: Any, sooner: Any) -> Any:
+    """Return the situation of a robot whose commands may act sooner as well."""
+    return Situation(
+        sit.obstacles,
+        sit.growth,
+        sit.motion,
+        sit.guide,
+        sit.core,
+        sit.rooms,
+        sit.close,
+        sit.hold,
+        sit.turn_rate,
+        sit.lag,
+        sooner,
+    )
+
+
 @cached_njit
-def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
+def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array, sooner: Array) -> Any:
     """Return the `Answer` to a request.
 
     Args:
@@ -285,12 +325,13 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array) -> Any:
         begin: State from odometry (5,).
         t: Age of the echoes at that state [s].
         commands: Commands in each time step until a new one takes effect (n, 2).
+        sooner: The same for the shortest delay that the robot may have (m, 2); m = n where the delay is known.
     """
     state = (begin[0], begin[1], begin[2], begin[3], begin[4])
-    first = FAR
-    for k in range(len(commands)):
-        state, t, margin = hold(sit, state, t, commands[k, 0], commands[k, 1], 1)
-        first = min(first, margin)
+    early, early_t, early_first = _follow(sit, state, t, sooner)
+    state, t, first = _follow(sit, state, t, commands)
+    if len(sooner) < len(commands):
+        sit, first = _after(sit, Sooner(True, early, early_t)), min(first, early_first)
     guide, value = sit.guide, math.nan
     if guide.ready:
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])

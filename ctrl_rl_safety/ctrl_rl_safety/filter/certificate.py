@@ -57,6 +57,24 @@ class Guide(NamedTuple):
 NO_GUIDE = Guide(np.zeros((1, 1, 1, 1), np.float32), 0.0, 0.0, 1.0, 1.0, False)
 
 
+class Sooner(NamedTuple):
+    """Where the robot is when a command has its first effect, if its delay is the shortest that it may have.
+
+    Attributes:
+        differs: Whether the delay has bounds that differ.
+        state: The state.
+        t: Age of the echoes at that time [s].
+    """
+
+    differs: bool
+    state: tuple[float, float, float, float, float]
+    t: float
+
+
+ONE_DELAY = Sooner(False, (0.0, 0.0, 0.0, 0.0, 0.0), 0.0)
+"""For a robot whose delay is known."""
+
+
 class Situation(NamedTuple):
     """All inputs of a certificate.
 
@@ -72,6 +90,7 @@ class Situation(NamedTuple):
         hold: Number of time steps until the following command takes effect.
         turn_rate: Maximum turn rate [rad/s].
         lag: Time constant of the speeds [s].
+        sooner: Where a command may have its first effect as well.
     """
 
     obstacles: Obstacles
@@ -84,6 +103,7 @@ class Situation(NamedTuple):
     hold: int
     turn_rate: float
     lag: float
+    sooner: Sooner = ONE_DELAY
 
 
 @njit(inline="always")
@@ -231,7 +251,7 @@ def _gains(sit: Any, begin: tuple[float, float, float, float, float], end: Any) 
 
 
 @njit
-def certify(
+def _certify_from(
     sit: Any,
     state: tuple[float, float, float, float, float],
     t: float,
@@ -240,17 +260,7 @@ def certify(
     first: int,
     needed: float,
 ) -> tuple[float, int]:
-    """Return the margin of a command [m] and the kind of its escape.
-
-    Args:
-        sit: Echoes, motion model and set.
-        state: State when the command has its first effect.
-        t: Age of the echoes at that time [s].
-        command: Speed [m/s] and turn rate [rad/s].
-        steps: Number of time steps for which the command is held.
-        first: Kind of escape to try first.
-        needed: Sufficient margin [m].
-    """
+    """Return margin and escape of a command that has its first effect in one state, see `certify`."""
     end, later, least = hold(sit, state, t, command[0], command[1], steps)
     if sit.close and outer_speed(command[0], command[1], sit.core) > 0.0:  # creeping below STANDS would add up
         gained = _gains(sit, state, end)
@@ -262,6 +272,37 @@ def certify(
         return least, first
     margin, kind = escape_from(sit, end, later, first, needed)
     return min(least, margin, CAP), kind
+
+
+@njit
+def certify(
+    sit: Any,
+    state: tuple[float, float, float, float, float],
+    t: float,
+    command: tuple[float, float],
+    steps: int,
+    first: int,
+    needed: float,
+) -> tuple[float, int]:
+    """Return the margin of a command [m] and the kind of its escape.
+
+    Commands that alternate turn a robot elsewhere if they act sooner than reckoned. Where the delay is known only
+    within bounds, a command is therefore certified after the longest delay and after the shortest.
+
+    Args:
+        sit: Echoes, motion model and set.
+        state: State when the command has its first effect.
+        t: Age of the echoes at that time [s].
+        command: Speed [m/s] and turn rate [rad/s].
+        steps: Number of time steps for which the command is held.
+        first: Kind of escape to try first.
+        needed: Sufficient margin [m].
+    """
+    margin, kind = _certify_from(sit, state, t, command, steps, first, needed)
+    if sit.sooner.differs and (margin >= 0.0 or needed >= FAR):
+        other, _ = _certify_from(sit, sit.sooner.state, sit.sooner.t, command, steps, kind, needed)
+        margin = min(margin, other)
+    return margin, kind
 
 
 @njit

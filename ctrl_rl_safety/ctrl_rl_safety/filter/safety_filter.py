@@ -88,12 +88,17 @@ class SafetyFilter:
         self._last_v = 0.0
         self._certified: tuple[float, Verdict, Situation] | None = None
 
-    def adopt(self, model: RobotModel) -> None:
+    def adopt(self, model: RobotModel, soonest: float | None = None) -> None:
         """Use a model of the same robot with other bounds of its motion from the next command and set on.
+
+        Args:
+            model: The model, whose delay is the longest that the robot may have.
+            soonest: The shortest delay that it may have [s]; the model's by default.
 
         Raises:
             SafetyError: The robot brakes too slowly for a certificate to cover its stop.
         """
+        self._soonest = model.delay if soonest is None else min(soonest, model.delay)
         braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
         if braking > STEP * MOST_STEPS:
             raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
@@ -228,8 +233,9 @@ class SafetyFilter:
         )
         age = now - reading.age - seen_at
         situation = self._situation(now, obstacles)
-        under_way = self._under_way(now, reading.age)
-        found = Answer(*answer(situation, ask, state, age, under_way))
+        under_way = self._under_way(now, reading.age, self.model.delay)
+        sooner = self._under_way(now, reading.age, self._soonest)
+        found = Answer(*answer(situation, ask, state, age, under_way, sooner))
         if self.options.evade and abs(found.v) < STANDS:
             ahead = LONGER if self._evading else AHEAD
             v, omega, margin, kind = evade(
@@ -280,13 +286,19 @@ class SafetyFilter:
             self.model.lag,
         )
 
-    def _under_way(self, now: float, age: float) -> Array:
-        """Return the commands in each time step from the odometry until a new one takes effect (n, 2)."""
-        count = math.ceil((age + self.model.delay) / STEP - 1e-9)
+    def _under_way(self, now: float, age: float, delay: float) -> Array:
+        """Return the commands in each time step from the odometry until a new one takes effect (n, 2).
+
+        Args:
+            now: Steady time [s].
+            age: Age of the odometry [s].
+            delay: Delay of the robot [s].
+        """
+        count = math.ceil((age + delay) / STEP - 1e-9)
         out = np.zeros((count, 2))
         until = count
         for sent_at, v, omega in reversed(self._sent):
-            first = max(math.ceil((sent_at + self.model.delay - 1e-9 - now + age) / STEP), 0)
+            first = max(math.ceil((sent_at + delay - 1e-9 - now + age) / STEP), 0)
             out[first:until] = (v, omega)
             until = min(until, first)
             if until == 0:

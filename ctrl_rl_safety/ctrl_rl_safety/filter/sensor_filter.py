@@ -70,8 +70,7 @@ class SensorFilter:
                 safety.use(safety.solve())
         if self._monitor is not None:
             self._monitor.motion.measure(now, pose, *sensors.speeds)
-            if safety.model != self._monitor.model:
-                safety.adopt(self._monitor.model)
+            safety.adopt(self._monitor.model, self._monitor.soonest)
         verdict = safety.decide(now, Reading(pose, *sensors.speeds), command)
         sent = verdict.command
         if self._monitor is not None:

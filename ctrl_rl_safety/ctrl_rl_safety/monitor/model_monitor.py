@@ -133,6 +133,13 @@ class ModelMonitor:
         self._turn.measure(turns, last[0], time, omega, coupled[0], crowded[0], known, possible)
         self._use()
 
+    @property
+    def soonest(self) -> float:
+        """Shortest delay that the measurements leave possible, from the stated one on [s]."""
+        possible = self._speed.delays & self._turn.delays
+        first = int(np.argmax(possible if possible.any() else self._speed.delays))
+        return self.stated.delay + LATER[max(first - 1, 0)]
+
     def _moved_by_others(self, told: tuple[tuple[float, float], ...], stands: bool) -> bool:
         """Return whether a standing robot moves without a command, until it stands again."""
         if max(abs(each) for both in told for each in both) >= STANDS:

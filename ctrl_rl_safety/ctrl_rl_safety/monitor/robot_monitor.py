@@ -37,6 +37,11 @@ class RobotMonitor:
         return self.motion.model
 
     @property
+    def soonest(self) -> float:
+        """Shortest delay that the robot may have [s]."""
+        return min(self.motion.soonest, self.model.delay)
+
+    @property
     def problem(self) -> str:
         """Reason why the robot must stop; empty if there is none."""
         return self.motion.problem or self.mounting.problem

@@ -60,11 +60,10 @@ class Monitoring:
             return
         monitor.motion.measure(now - reading.age, reading.pose, float(odometry[V]), float(odometry[OMEGA_Z]))
         self.fault = monitor.problem
-        if self._safety.model != monitor.model:
-            try:
-                self._safety.adopt(monitor.model)
-            except SafetyError as error:
-                self.fault = str(error)
+        try:
+            self._safety.adopt(monitor.model, monitor.soonest)
+        except SafetyError as error:
+            self.fault = str(error)
 
     def look(self, pose: Array, echoes: Array) -> None:
         """Compare a scan with earlier ones, see `Mounting.look`."""
