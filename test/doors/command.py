@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,8 +50,8 @@ class Pair:
 
     @property
     def ratio(self) -> float:
-        """Time with the filter relative to that without."""
-        return self.filtered.seconds / self.bare.seconds
+        """Time with the filter relative to that without; NaN where the driver alone hits a post."""
+        return self.filtered.seconds / self.bare.seconds if self.bare.passed else math.nan
 
 
 def main() -> int:
@@ -86,18 +87,27 @@ def drive_pair(robot: str, seed: int) -> Pair:
 
 def table(pairs: dict[str, list[Pair]]) -> str:
     """Return a line a robot."""
-    lines = [f"{'robot':<20}{'doors':>6}{'stuck':>6}{'contacts':>9}{'time over unfiltered: median':>29}{'largest':>9}"]
+    heads = f"{'doors':>6}{'stuck':>6}{'contacts':>9}{'without filter':>15}"
+    heads += f"{'time over unfiltered: median':>29}{'largest':>9}"
+    lines = [f"{'robot':<20}{heads}"]
     for robot, each in pairs.items():
-        ratios = [one.ratio for one in each]
+        ratios = ratios_of(each) or [math.nan]
         counts = f"{len(each):>6}{sum(one.stuck for one in each):>6}{sum(one.filtered.contact for one in each):>9}"
+        counts += f"{sum(one.bare.contact for one in each):>15}"
         lines.append(f"{robot:<20}{counts}{np.median(ratios):>29.3f}{max(ratios):>9.3f}")
     return "\n".join(lines)
 
 
+def ratios_of(pairs: Sequence[Pair]) -> list[float]:
+    """Return the times with the filter relative to those without, of the doors that the driver alone passes."""
+    return [each.ratio for each in pairs if each.bare.passed]
+
+
 def rows_of(robot: str, pairs: Sequence[Pair]) -> list[Result]:
-    """Return the results of a robot as data, one value a door."""
+    """Return the results of a robot as data, one value a door; times of the doors that the driver alone passes."""
     return [
         Result(robot, "stuck", "1", [float(each.stuck) for each in pairs]),
         Result(robot, "contacts", "1", [float(each.filtered.contact) for each in pairs]),
-        Result(robot, "time over unfiltered", "1", [round(each.ratio, 4) for each in pairs]),
+        Result(robot, "contacts without filter", "1", [float(each.bare.contact) for each in pairs]),
+        Result(robot, "time over unfiltered", "1", [round(each, 4) for each in ratios_of(pairs)]),
     ]
