@@ -1,3 +1,6 @@
+from .goal_server import ActiveGoal as ActiveGoal
+from .goal_server import GoalError as GoalError
+from .goal_server import GoalServer as GoalServer
 from .node import DIAGNOSTICS as DIAGNOSTICS
 from .node import LATCHED as LATCHED
 from .node import ODOM_PUBLISHER as ODOM_PUBLISHER
