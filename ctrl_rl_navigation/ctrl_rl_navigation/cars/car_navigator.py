@@ -67,6 +67,11 @@ class CarNavigator:
         return self._keeper.value
 
     @property
+    def is_asked(self) -> bool:
+        """Whether a goal is still without a value."""
+        return self._keeper.is_asked
+
+    @property
     def solving(self) -> float:
         """Completed fraction of the running solve; NaN if there is none."""
         return self._keeper.done

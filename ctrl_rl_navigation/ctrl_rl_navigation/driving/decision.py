@@ -31,10 +31,12 @@ class Goal:
     Attributes:
         position: Position in the map frame (2,) [m].
         heading: Final heading [rad]; None for any.
+        path: Positions of a path to follow to the goal [m]; None for the shortest time.
     """
 
     position: tuple[float, float]
     heading: float | None = None
+    path: tuple[tuple[float, ...], ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class NavigatorOptions:
         period: Control period [s].
         delay: Time from a command to its effect, plus the time until the next one [s].
         deceleration: Braking deceleration of the robot [m/s^2].
+        corridor: Distance from a given path within which the robot drives [m].
         inline: Whether to solve value functions synchronously instead of in a thread.
     """
 
@@ -59,6 +62,7 @@ class NavigatorOptions:
     period: float = 0.1
     delay: float = 0.2
     deceleration: float = 0.5
+    corridor: float = 0.5
     inline: bool = False
 
 

@@ -167,6 +167,7 @@ class LookAhead:
             float(c * dy - s * dx),
             value.radius,
             longest_time_beside(value.radius, self.limits),
+            value.along,
         )
         near = points[np.hypot(points[:, 0], points[:, 1]) < self.reach]
         window, around = NO_WINDOW, NOBODY

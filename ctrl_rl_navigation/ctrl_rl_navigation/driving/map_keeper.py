@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ctrl_rl_navigation.driving.decision import Goal, NavigatorOptions
 from ctrl_rl_navigation.driving.value_keeper import Array, ValueKeeper, Work
 from ctrl_rl_navigation.robot import DriveLimits
@@ -17,6 +19,7 @@ def keep_map_value(limits: DriveLimits, options: NavigatorOptions) -> ValueKeepe
     radius, widest = _INSIDE * options.tolerance, options.tolerance
 
     def plan(solver: MapSolver, goal: Goal, obstacles: Array) -> Work[MapValue]:
-        return lambda report, wanted: solver.solve(goal.position, radius, obstacles, report, wanted, widest)
+        along = None if goal.path is None else (np.array(goal.path), options.corridor)
+        return lambda report, wanted: solver.solve(goal.position, radius, obstacles, report, wanted, widest, along)
 
     return ValueKeeper(lambda map_: MapSolver(map_, limits), plan, options.inline)

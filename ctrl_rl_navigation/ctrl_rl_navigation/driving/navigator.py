@@ -46,14 +46,8 @@ class Navigator:
     def __init__(self, limits: DriveLimits, options: NavigatorOptions | None = None) -> None:
         self.limits, self.options = limits, options or NavigatorOptions()
         turns, speeds = (TURNS_AFTER, REVERSING) if limits.width else ((0.0,), SPEEDS)
-        self._ahead = LookAhead(
-            limits,
-            self.options.period,
-            self.options.delay,
-            self.options.deceleration,
-            turns_after=turns,
-            speeds=speeds,
-        )
+        timing = self.options.period, self.options.delay, self.options.deceleration
+        self._ahead = LookAhead(limits, *timing, turns_after=turns, speeds=speeds)
         self._keeper = keep_map_value(limits, self.options)
         self.path: Array = _NO_PATH
         self.layer: ObstacleLayer | None = None
@@ -72,6 +66,11 @@ class Navigator:
     def value(self) -> MapValue | None:
         """Time to reach the goal; None without a goal."""
         return self._keeper.value
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a goal is still without a value."""
+        return self._keeper.is_asked
 
     @property
     def solving(self) -> float:

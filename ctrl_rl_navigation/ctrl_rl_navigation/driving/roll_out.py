@@ -65,6 +65,8 @@ class Place(NamedTuple):
     goal_y: float
     goal_radius: float
     goal_time: float
+    along: bool
+    """Whether the value is that of a corridor around a path."""
 
 
 @njit(inline="always")
@@ -73,14 +75,20 @@ def _toward(value: float, wanted: float, most: float) -> float:
 
 
 @njit(inline="always")
+def _cell(place: Any, x: float, y: float) -> tuple[float, float]:
+    """Return row and column of a position in the first frame."""
+    c, s = math.cos(place.robot_theta), math.sin(place.robot_theta)
+    along, aside = place.robot_x + c * x - s * y - place.x, place.robot_y + s * x + c * y - place.y
+    column = (place.cos * along + place.sin * aside) / place.resolution - 0.5
+    return (place.cos * aside - place.sin * along) / place.resolution - 0.5, column
+
+
+@njit(inline="always")
 def _time_left(
     times: Any, window: Any, place: Any, x: float, y: float, theta: float, rules: Any
 ) -> tuple[float, float]:
     """Return the time to reach past people, and the time to turn into its descent, at a pose in the first frame [s]."""
-    c, s = math.cos(place.robot_theta), math.sin(place.robot_theta)
-    along, aside = place.robot_x + c * x - s * y - place.x, place.robot_y + s * x + c * y - place.y
-    column = (place.cos * along + place.sin * aside) / place.resolution - 0.5
-    row = (place.cos * aside - place.sin * along) / place.resolution - 0.5
+    row, column = _cell(place, x, y)
     value, by_row, by_column = value_and_slopes(times, row, column)
     if len(window.delays) > 0 and value < np.inf:
         i, j = (row - window.row) / window.cells, (column - window.column) / window.cells
@@ -152,6 +160,19 @@ def _contact_cost(movers: Any, time: float, x: float, y: float, theta: float, ru
 
 
 @njit(inline="always")
+def _slowness(times: Any, place: Any, x: float, y: float, rules: Any) -> float:
+    """Return how many times longer than at full speed the value says that a metre takes: by its slope, |grad T|.
+
+    Beside a path the value rises steeply; a roll-out that did not pay for that would cut every corner.
+    """
+    row, column = _cell(place, x, y)
+    value, by_row, by_column = value_and_slopes(times, row, column)
+    if not 0.0 < value < np.inf:
+        return 1.0
+    return math.hypot(by_row, by_column) * rules.speed / place.resolution
+
+
+@njit(inline="always")
 def _cost(
     times: Any,
     window: Any,
@@ -192,7 +213,10 @@ def _cost(
             x, y, theta = next_x, next_y, theta + omega * rules.step
             way += (abs(v) + corner * abs(omega)) * rules.step
             near = min(max((gap - rules.room) / rules.ease, 0.0), 1.0)
-            cost += rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
+            spent = rules.step / (rules.slowest + (1.0 - rules.slowest) * near)
+            if place.along:
+                spent = max(spent, rules.step * _slowness(times, place, x, y, rules))
+            cost += spent
         share = STANDING if abs(v) < _STANDS else 1.0
         cost += rules.step * share * _contact_cost(movers, time, x, y, theta, rules)
         if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:

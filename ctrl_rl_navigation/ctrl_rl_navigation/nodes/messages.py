@@ -52,7 +52,7 @@ def status_message(navigator: Navigator | CarNavigator, decision: Decision, head
     """Convert the navigator's decision to a status message."""
     out = NavigatorStatus(header=header, state=int(decision.state), message=decision.message)
     if navigator.goal is not None:
-        out.goal = _pose(*navigator.goal.position, navigator.goal.heading or 0.0)
+        out.goal = planar_pose(*navigator.goal.position, navigator.goal.heading or 0.0)
     out.remaining_time = decision.remaining_time
     out.remaining_distance = navigator.remaining_distance
     out.solving = navigator.solving
@@ -68,7 +68,7 @@ def path_message(path: NDArray[np.float64], header: Header) -> Path:
     headings += headings[-1:] or [0.0]
     out = Path(header=header)
     out.poses = [
-        PoseStamped(header=header, pose=_pose(x, y, heading))
+        PoseStamped(header=header, pose=planar_pose(x, y, heading))
         for (x, y), heading in zip(places.tolist(), headings, strict=False)
     ]
     return out
@@ -85,7 +85,8 @@ def slice_message(value: MapValue | CarValue, stamp: Time, frame: str) -> Occupa
     return OccupancyMap(shown, step * value.map.resolution, value.map.origin).to_message(stamp, frame)
 
 
-def _pose(x: float, y: float, yaw: float) -> Pose:
+def planar_pose(x: float, y: float, yaw: float) -> Pose:
+    """Return a pose message in the x-y plane [m, m, rad]."""
     out = Pose()
     out.position.x, out.position.y = x, y
     out.orientation.z, out.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)

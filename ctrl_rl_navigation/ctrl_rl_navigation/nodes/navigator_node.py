@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from contextlib import suppress
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from ctrl_rl_core.navigation import Transform, TransformError
@@ -41,6 +41,9 @@ from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_mes
 from ctrl_rl_navigation.nodes.navigators import make_navigator
 from ctrl_rl_navigation.nodes.parameters import ANY_HEADING, NAVIGATOR_PARAMETERS
 
+if TYPE_CHECKING:
+    from ctrl_rl_navigation.nodes.action_servers import NavigatorActions
+
 Array = NDArray[np.float64]
 
 _STATUS_PERIOD = 0.5
@@ -59,7 +62,8 @@ class NavigatorNode(RobotNode):
     """Drives a robot to goals on a map, based on the time to reach them.
 
     Subscribes to map, goal_pose, scan, odom, and /tf or amcl_pose; publishes cmd_vel, path, ~/status and ~/slice, and
-    answers ~/query and ~/cancel. Without a recent scan, odometry and pose on the map, the robot stops.
+    answers ~/query and ~/cancel. It serves the actions navigate_to_pose, navigate_through_poses, follow_waypoints and
+    follow_path of Nav2. Without a recent scan, odometry and pose on the map, the robot stops.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = NAVIGATOR_PARAMETERS
@@ -79,6 +83,7 @@ class NavigatorNode(RobotNode):
         self._waiting: tuple[LaserScan, NDArray[np.float32], ScanGeometry] | None = None
         self._shown: tuple[Any, Any] = (None, None)
         self._input = PoseInput(self, robot.timeout, robot.now)
+        self._pose: Array | None = None
         self._told = self.create_publisher(NavigatorStatus, "~/status", LATCHED)
         self._path = self.create_publisher(Path, "path", LATCHED)
         self._slice = self.create_publisher(OccupancyGrid, "~/slice", LATCHED)
@@ -90,7 +95,28 @@ class NavigatorNode(RobotNode):
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_timer(value["control_period"], self._tick)
         self.create_timer(_STATUS_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)  # last: goals arrive from now on
+        self._actions = self._serve_actions()
+        if value["actions"] != "follow_path":  # last: goals arrive from now on
+            self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
+
+    def stop(self) -> None:
+        """Stop the robot, and tell the client of an action."""
+        super().stop()
+        if self._actions is not None:
+            self._actions.destroy()
+
+    def _serve_actions(self) -> NavigatorActions | None:
+        """Return the action servers; None without any, and where ROS has no nav2_msgs."""
+        if self.settings["actions"] == "none":
+            return None
+        try:
+            from ctrl_rl_navigation.nodes.action_servers import NavigatorActions
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.partition(".")[0] != "nav2_msgs":
+                raise
+            self.get_logger().warning("no actions are served: they need nav2_msgs (apt install ros-jazzy-nav2-msgs)")
+            return None
+        return NavigatorActions(self, self.robot, self._navigator, self._frame, self._tick)
 
     def _keep(self, message: Odometry, odometry: Array) -> None:
         """Store the odometry pose."""
@@ -163,9 +189,13 @@ class NavigatorNode(RobotNode):
             self.get_logger().error(f"the goal is refused: {error}")
             return
         self.get_logger().info(f"goal ({goal.position[0]:.2f}, {goal.position[1]:.2f})")
+        if self._actions is not None:
+            self._actions.replace("a goal on goal_pose replaces this one")
         self._navigator.set_goal(goal)
 
     def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._actions is not None:
+            self._actions.replace("the goal was cancelled by ~/cancel")
         response.success = self._navigator.cancel()
         response.message = "the goal is cancelled" if response.success else "there is no goal"
         self._tick()
@@ -198,14 +228,16 @@ class NavigatorNode(RobotNode):
             self.get_logger().info(decision.message)
             self._tell()
         self._show()
+        if self._actions is not None:
+            self._actions.update(decision, self._pose)
 
     def _drive(self) -> None:
         """Send the driver's command, or stop if an input is missing."""
-        robot, driver, problem, pose = self.robot, self._driver, self.robot.input_fault(), None
+        robot, driver, problem = self.robot, self._driver, self.robot.input_fault()
         try:
-            pose = self._input.pose()
+            self._pose = pose = self._input.pose()
         except TransformError as error:
-            problem = problem or str(error)
+            self._pose, problem = None, problem or str(error)
         if problem:
             self._sent = driver.wait(robot.now(), problem)
             if self._navigator.goal is not None and not self._is_idle():

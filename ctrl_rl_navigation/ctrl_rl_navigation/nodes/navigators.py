@@ -33,6 +33,7 @@ def make_navigator(value: Mapping[str, Any]) -> tuple[Navigator | CarNavigator, 
         period=value["control_period"],
         delay=value["control_period"] + 0.1,
         deceleration=value["deceleration"],
+        corridor=value["path_corridor"],
     )
     if robot.steering is not None:
         car = car_limits_of(robot)

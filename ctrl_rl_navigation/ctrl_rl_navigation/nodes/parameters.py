@@ -63,5 +63,20 @@ NAVIGATOR_PARAMETERS = (
         1.0,
         86400.0,
     ),
+    Parameter(
+        "actions",
+        "all",
+        "Actions to serve: navigate (to poses and waypoints), follow_path (in the place of Nav2's controller, with "
+        "goal_pose left to Nav2), all, or none.",
+        choices=("all", "navigate", "follow_path", "none"),
+    ),
+    Parameter(
+        "goal_patience",
+        30.0,
+        "Time for which a robot may be blocked or lack an input before the goal of an action is aborted [s].",
+        1.0,
+        86400.0,
+    ),
+    Parameter("path_corridor", 0.5, "Distance from a path to follow within which the robot drives [m].", 0.1, 10.0),
 )
 ANY_HEADING = 3.1415

@@ -14,6 +14,7 @@ from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.fast_marching import BORDER, Front, make_front, march, seed, widen
 from ctrl_rl_navigation.values.map_value import MapValue
+from ctrl_rl_navigation.values.path_corridor import distances_to_path
 
 SLOWEST = 0.6
 """Fraction of the full speed next to an obstacle, which makes paths prefer open space slightly."""
@@ -27,6 +28,8 @@ _BAND_SPEED = 0.1
 """Fraction of the full speed in that band, so that every path leads back to open space."""
 _EXACT = 3.0
 """Width of the ring around the goal disc with exact times [cells]."""
+_BESIDE = 0.1
+"""Distance from a given path at which the time to cross a cell is twice that on it [m], so that robots keep to it."""
 _CHUNK = 20_000
 """Number of cells between checks whether the result is still needed."""
 
@@ -88,6 +91,7 @@ class MapSolver:
         report: Report | None = None,
         wanted: Callable[[], bool] | None = None,
         widest: float = 0.0,
+        along: tuple[Array, float] | None = None,
     ) -> MapValue:
         """Solve the time to reach a disc.
 
@@ -98,6 +102,8 @@ class MapSolver:
             report: Called with the completed fraction, 0 to 1.
             wanted: Returns whether the value is still needed.
             widest: Radius of the disc used if the first one has no room for the robot [m].
+            along: Path to follow (n, 2) [m], and the distance from it within which the robot drives [m]; None for
+                the shortest time.
 
         Raises:
             NavigationError: The goal is outside the map, or the disc has no room for the robot.
@@ -105,8 +111,12 @@ class MapSolver:
         """
         begin = time.monotonic()
         clearance = self.clearance if obstacles is None else self._with_obstacles(obstacles)
-        open_ = clearance >= self.limits.room
-        front = make_front(np.where(open_, self._slowness(clearance), 0.0))
+        open_, slowness = clearance >= self.limits.room, self._slowness(clearance)
+        if along is not None:
+            beside = distances_to_path(self.map, *along)
+            open_ &= np.isfinite(beside)
+            slowness *= 1.0 + beside / _BESIDE
+        front = make_front(np.where(open_, slowness, 0.0))
         places = self._around(goal, max(radius, widest), clearance, open_)
         if not (places[2] <= radius).any():
             radius = max(radius, widest)
@@ -119,7 +129,7 @@ class MapSolver:
             while march(front, _CHUNK, math.ceil(depth / self.map.resolution)):
                 self._check(wanted)
         times = self._inside(front, open_.shape).astype(np.float32)
-        return MapValue(times, self.map, goal, radius, time.monotonic() - begin)
+        return MapValue(times, self.map, goal, radius, time.monotonic() - begin, along is not None)
 
     def _slowness(self, clearance: NDArray[np.float32]) -> Array:
         """Return the time to cross each cell [s]."""

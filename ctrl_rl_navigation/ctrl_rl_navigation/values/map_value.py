@@ -107,6 +107,7 @@ class MapValue:
         goal: Position of the goal in the map frame (2,) [m].
         radius: Distance from the goal at which the time is zero [m].
         seconds: Duration of the solve [s].
+        along: Whether the times are those along a given path.
     """
 
     times: Times
@@ -114,6 +115,7 @@ class MapValue:
     goal: tuple[float, float]
     radius: float
     seconds: float
+    along: bool = False
 
     state_names = ("x", "y")
 
