@@ -37,6 +37,6 @@ from .protocol.team import RobotSpec as RobotSpec
 from .scripted.task_policies import DecisionPolicy as DecisionPolicy
 from .scripted.task_policies import RandomPolicy as RandomPolicy
 from .scripted.task_policies import scripted_policy as scripted_policy
+from .teams.loading import load_team as load_team
 from .teams.team_file import TeamFile as TeamFile
-from .teams.team_file import load_team as load_team
 from .teams.team_file import team_file as team_file

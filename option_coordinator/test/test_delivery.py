@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from option_coordinator.navigation.delivery import STAND, Delivery, ReactivePlanner, scan_points
+from option_coordinator.navigation.planner import STAND, ReactivePlanner, scan_points
 from option_coordinator.policies.policy_query import PolicyQuery
 from option_coordinator.scripted.policy_queries import spread_policy, uniform_policy
+from option_coordinator.teams.delivery import Delivery
 from option_coordinator.teams.team_file import FOLDER
 
 from ctrl_rl_core import ScanGeometry
@@ -34,7 +35,8 @@ def test_a_robot_fetches_delivers_and_goes_home():
         assert delivery.carries
         assert carry_out(delivery, DESK).reward > 5.0
         assert delivery.delivered == count + 1
-    observation, legal = delivery.see(np.array((1.0, 2.0, 3.0)))
+    observation, legal, work = delivery.see(np.array((1.0, 2.0, 3.0)))
+    assert work == f"carries=0 delivered={TEAM.deliveries}"
     assert observation.tolist() == [1.0, 2.0, 0.0, TEAM.deliveries]
     assert np.flatnonzero(legal).tolist() == [WAIT, HOME]
     delivery.begin(HOME, 0.0)

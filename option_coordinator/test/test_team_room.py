@@ -4,7 +4,8 @@ import os
 
 import pytest
 from option_coordinator.environments.tasks.team_delivery import TeamDeliverySimulation
-from option_coordinator.teams.team_file import FOLDER, load_room, room_names
+from option_coordinator.teams.loading import load_room
+from option_coordinator.teams.team_file import FOLDER, room_names
 
 from ctrl_rl_core import task_digest
 from option_coordinator import OptionError, load_team

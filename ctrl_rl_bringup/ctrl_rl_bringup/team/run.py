@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from option_coordinator.environments import check_ways
 from option_coordinator.nodes import EXCHANGE
 from option_coordinator.protocol import GrantStatus
 from option_coordinator.scripted import SCRIPTED
@@ -191,7 +190,7 @@ def new_team_run(options: TeamConfig) -> tuple[TeamFile, dict[str, Path]]:
         CtrlRlError: Team, room or policy cannot be read, or the folder exists.
     """
     team = load_team(options.team)
-    check_ways(team, load_room(team, options.room))
+    load_room(team, options.room)
     digests = {"task": task_file(options.task), "team": team_file(options.team)}
     if options.policy_name not in SCRIPTED:
         digests["policy"] = policy_file(options.policy_name)

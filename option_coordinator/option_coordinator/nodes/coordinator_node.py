@@ -17,6 +17,7 @@ from rclpy.duration import Duration
 from ctrl_rl_core import Parameter, ParameterError, SuiteNode, run_node
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, JointOptionStep, OptionGrant, OptionRequest
 from option_coordinator.errors import OptionError
+from option_coordinator.nodes.coordinator_parameters import PARAMETERS
 from option_coordinator.nodes.messages import (
     EXCHANGE,
     StepMessages,
@@ -33,11 +34,12 @@ from option_coordinator.policies.policy_file import OptionPolicy
 from option_coordinator.policies.policy_query import PolicyFn, learned_policy_fn
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.coordination import Coordinator
-from option_coordinator.protocol.protocol_types import LONGEST_NAME, Answers, MessageError, Request
+from option_coordinator.protocol.protocol_types import LONGEST_NAME, Answers, MessageError, Request, TeamId
 from option_coordinator.protocol.replica import LATE
 from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec
+from option_coordinator.protocol.work_memory import WorkMemory
 from option_coordinator.scripted.policy_queries import SCRIPTED, spread_policy, uniform_policy
-from option_coordinator.teams.team_file import load_team
+from option_coordinator.teams.loading import load_team
 
 _Take = Callable[[Any, ClockReading], Answers]
 _HOUSEKEEPING_S = 0.02
@@ -50,52 +52,9 @@ _FINE = (
     "returned robots",
     "words of other teams",
     "messages of other teams",
+    "refused: work kept",
 )
 """Counters of events that are not errors."""
-
-PARAMETERS = (
-    Parameter(
-        "team",
-        "",
-        "Team that comes with the package, or its .yaml file; empty for the robots of the policy.",
-        kind="path",
-    ),
-    Parameter(
-        "team_name",
-        "",
-        "Name of the team in all messages, which keeps teams in one namespace apart; empty for the team file's name, "
-        "or one made from the policy's robots.",
-    ),
-    Parameter(
-        "policy",
-        "spread",
-        "Learned policy's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
-        live=True,
-        kind="path",
-    ),
-    Parameter("policy_digest", "", "SHA-256 (hex) that a policy file must have from now on; empty for any.", live=True),
-    Parameter(
-        "batch_window",
-        0.0,
-        "Time for which the first pending request waits for others [s]; 0 to decide at once.",
-        0.0,
-        1.0,
-    ),
-    Parameter(
-        "lease", 0.5, "Silence after which a robot is suspect, or another coordinator takes over [s].", 0.05, 60.0
-    ),
-    Parameter("lost_after", 2.0, "Silence after which a robot is lost [s].", 0.05, 600.0),
-    Parameter("repeat", 0.1, "Time between repetitions of an unacknowledged grant [s].", 0.01, 10.0),
-    Parameter("stale", 2.0, "Age at which an observation is refused [s].", 0.05, 600.0),
-    Parameter(
-        "policy_limit", 0.05, "Time limit of the policy, after which safe options are granted [s].", 0.00001, 10.0
-    ),
-    Parameter("longest_option", 60.0, "Maximum duration of an option, if no team file gives it [s].", 0.01, 86400.0),
-    Parameter("safe_option", 0, "Index of the safe option, if no team file gives it.", 0, 10000),
-    Parameter("step_length", 1.0, "Duration of a low-level step, if no team file gives it [s].", 0.001, 3600.0),
-    Parameter("discount", 0.99, "Discount factor gamma of a low-level step, if no team file gives it.", 0.001, 1.0),
-    Parameter("seed", 0, "Seed of the policy's draws.", minimum=0),
-)
 
 
 class OptionCoordinator(SuiteNode):
@@ -118,9 +77,10 @@ class OptionCoordinator(SuiteNode):
         self._began = False
         self._held_up = LATE * timeouts.lease
         chooses, digest = self._chooser()
-        begin = ClockReading(0.0, 0.0, 0.0)
+        begin, team = ClockReading(0.0, 0.0, 0.0), TeamId(self._team_name(), self._team_digest)
+        memory = WorkMemory(Path(self.settings["memory"]) if self.settings["memory"] else None, team.name)
         self._coordinator = Coordinator(
-            self._robots, chooses, digest, begin, timeouts, discount=discount, team=self._team_name()
+            self._robots, chooses, digest, begin, timeouts, discount=discount, team=team, memory=memory
         )
         self._step_message = StepMessages(tuple(robot.agent for robot in self._robots), discount, timeouts.time_step)
         self._grants = self.create_publisher(OptionGrant, "option_grants", EXCHANGE)
@@ -160,7 +120,8 @@ class OptionCoordinator(SuiteNode):
         if self._policy_times:
             p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
             figures |= {"policy p50 [ms]": f"{p50:.3f}", "policy p99 [ms]": f"{p99:.3f}"}
-        faults = [f"{count} {kind}" for kind, count in new.items() if kind not in _FINE]
+        faults = [entry.given_up for entry in coordinator.ledger.values() if entry.given_up]
+        faults += [f"{count} {kind}" for kind, count in new.items() if kind not in _FINE]
         if coordinator.stands_by:
             return ok("another coordinator decides", **figures)
         if not coordinator.epoch:
@@ -182,9 +143,10 @@ class OptionCoordinator(SuiteNode):
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
         step, discount = settings["step_length"], settings["discount"]
         self._shared: tuple[str, ...] = ()
+        self._team_digest = ""
         if settings["team"]:
             team = load_team(settings["team"])
-            self._robots, self._shared = team.coordinated, team.shared
+            self._robots, self._shared, self._team_digest = team.coordinated, team.shared, team.digest
             step, discount = team.time_step, team.discount
         elif settings["policy"] in SCRIPTED:
             raise ParameterError(
@@ -194,7 +156,7 @@ class OptionCoordinator(SuiteNode):
             longest, safe = settings["longest_option"], settings["safe_option"]
             agents = OptionPolicy.load(settings["policy"]).agents
             self._robots = tuple(RobotSpec(agent, (longest,) * len(agent.options), safe) for agent in agents)
-        names = ("batch_window", "lease", "lost_after", "repeat", "stale", "policy_limit")
+        names = ("batch_window", "lease", "lost_after", "repeat", "stale", "policy_limit", "most_overruns")
         timeouts = CoordinatorTimeouts(time_step=step, **{name: settings[name] for name in names})
         return timeouts, discount
 

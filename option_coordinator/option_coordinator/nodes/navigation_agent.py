@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from ctrl_rl_core.ros import Status, ok
+from ctrl_rl_core.ros import Status, ok, warn
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
@@ -22,11 +22,14 @@ from ctrl_rl_core import (
     VelocityError,
     run_node,
 )
-from option_coordinator.navigation.delivery import STAND, Delivery, ReactivePlanner, scan_points
+from option_coordinator.navigation.planner import STAND, ReactivePlanner, scan_points
+from option_coordinator.navigation.steering import Steering
 from option_coordinator.nodes.option_agent import OptionAgent
 from option_coordinator.protocol.option_client import ClientTimeouts
 from option_coordinator.protocol.option_executor import AgentObservation, OptionResult
-from option_coordinator.teams.team_file import load_team
+from option_coordinator.protocol.protocol_types import TeamId
+from option_coordinator.teams.delivery import Delivery
+from option_coordinator.teams.loading import load_team
 
 _STAND = np.array(STAND)
 
@@ -57,9 +60,10 @@ class NavigationAgent(RobotNode):
         if name not in team.robots:
             raise ParameterError(f"parameter 'robot' is '{name}': team '{team.name}' has {', '.join(team.robots)}")
         self._names = team.option_names
-        self._delivery, self._planner = Delivery(team, name), ReactivePlanner()
+        self._delivery, planner = Delivery(team, name), ReactivePlanner()
+        self._steering = Steering(planner, list(team.robots).index(name))
         self.robot = robot = LidarRobot(self, "sensor_timeout")
-        robot.set_limits((0.0, -self._planner.turn), (self._planner.speed, self._planner.turn))
+        robot.set_limits((0.0, -planner.turn), (planner.speed, planner.turn))
         robot.on_scan, robot.on_odometry = self._keep, self._go_on
         self._read = OdometryReader(("x", "y", "theta"))
         self._pose: NDArray[np.float64] | None = None
@@ -67,11 +71,17 @@ class NavigationAgent(RobotNode):
         beat = settings["heartbeat"]
         patience = ClientTimeouts(heartbeat=beat, repeat=beat, waiting=settings["patience"])
         safe = self._names.index(team.safe_option)
-        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], team.name)
+        identity = TeamId(team.name, team.digest)
+        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], identity)
 
     def observe(self) -> AgentObservation:
         """Return the robot's observation and its legal options."""
         return self._delivery.see(np.zeros(3) if self._pose is None else self._pose)
+
+    def resume(self, work: str) -> None:
+        """Take over the work of an earlier process of this robot."""
+        self._delivery.resume(work)
+        self.get_logger().info(f"goes on with its work before the restart: {work}")
 
     def begin(self, option: int) -> None:
         """Start an option."""
@@ -90,7 +100,9 @@ class NavigationAgent(RobotNode):
         option = "none" if delivery.option is None else self._names[delivery.option]
         figures = {"option": option, "state": client.state.name.lower(), "delivered": delivery.delivered}
         figures |= {"carries": str(delivery.carries).lower(), "epoch": client.epoch, **client.counts, **sent}
-        return (level, message, figures) if self.robot.problem else ok(f"option '{option}'", **figures)
+        if self.robot.problem:
+            return level, message, figures
+        return warn(client.problem, **figures) if client.problem else ok(f"option '{option}'", **figures)
 
     def _go_on(self, _: Odometry, odometry: NDArray[np.float64]) -> None:
         """Advance the option from the robot's new pose."""
@@ -112,8 +124,8 @@ class NavigationAgent(RobotNode):
         if option is None:
             self._go(_STAND)
             return
-        if place is not None and not self._planner.there(self._pose, place):
-            self._go(np.array(self._planner.command(self._pose, self._points, place)))
+        if place is not None and not self._steering.there(self._pose, place):
+            self._go(np.array(self._steering.command(self._pose, self._points, place, self._now())))
             return
         self._go(_STAND)
         result = self._delivery.at_place(self._now())

@@ -6,19 +6,19 @@ same options: wait, or drive to a station and work there.
 
 from __future__ import annotations
 
-import math
+import hashlib
+import json
 from enum import StrEnum
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path as FilePath
 from typing import Annotated, Literal
 
 from ctrl_rl_core.geometry import Point, PositiveTime, TimeStep
-from ctrl_rl_core.io import FileError, raise_as, read_yaml, short_path, short_repr
+from ctrl_rl_core.io import read_yaml, short_path, short_repr
 from ctrl_rl_core.tasks import Part, Reward, Samples, TaskHeader
 from pydantic import Field, PrivateAttr, Strict, model_validator
 
-from ctrl_rl_core import CtrlRlError, NavigationTask, load_navigation_task, task_names
+from ctrl_rl_core import CtrlRlError, task_names
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
 from option_coordinator.protocol.team import RobotSpec
@@ -125,6 +125,10 @@ class TeamFile(TaskHeader):
             raise ValueError(f"options: none of them is to {', '.join(lacking)}: a team needs one for each work")
         return self
 
+    def place(self, folder: FilePath) -> None:
+        """Set the folder of the team's file, from which a relative room file counts."""
+        self._folder = folder
+
     @property
     def room_file(self) -> str:
         """Name or path of the room, as accepted by `ctrl_rl_core.tasks.task.load_task`."""
@@ -149,6 +153,14 @@ class TeamFile(TaskHeader):
     def batch_samples(self) -> int:
         """Number of low-level steps between two updates."""
         return self.learning.batch_samples
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 (hex) of robots, options and stations, in order: what coordinator and robots must agree on."""
+        robots = [(name, robot.home) for name, robot in self.robots.items()]
+        options = [(name, option.work.value, option.station) for name, option in self.options.items()]
+        content = json.dumps((robots, options, self.deliveries))
+        return hashlib.sha256(content.encode()).hexdigest()
 
     @cached_property
     def coordinated(self) -> tuple[RobotSpec, ...]:
@@ -206,48 +218,6 @@ def room_file(name_or_path: str, folder: FilePath | None = None) -> str:
     return name_or_path
 
 
-def load_room(team: TeamFile, name_or_path: str = "") -> NavigationTask:
-    """Load the room of a team.
-
-    Args:
-        team: Team that works in the room.
-        name_or_path: Room to use in place of the team's own; empty for the team's own.
-
-    Raises:
-        CtrlRlError: The room does not exist, or the team's homes and stations are not in its free space.
-    """
-    room = load_navigation_task(room_file(name_or_path) if name_or_path else team.room_file)
-    check_places(team, room)
-    return room
-
-
-def check_places(team: TeamFile, room: NavigationTask) -> None:
-    """Check that every home and station is free for a robot, and that all robots fit at their homes together.
-
-    Raises:
-        OptionError: A home or station is not free; the message names it.
-    """
-    world, radius = room.build_world(), room.robot.radius
-    homes = {f"robots.{name}.home": robot.home for name, robot in team.robots.items()}
-    stations = {f"options.{name}.station": o.station for name, o in team.options.items() if o.station is not None}
-    for key, place in (homes | stations).items():
-        words = f"{key}: ({place[0]:g}, {place[1]:g}) m"
-        bounds = room.plane_bounds.values()
-        if not all(low <= value <= high for value, (low, high) in zip(place, bounds, strict=True)):
-            raise OptionError(f"{words} lies outside room '{room.name}'")
-        clearance = float(world.signed_distance(place))
-        if clearance < radius:
-            raise OptionError(
-                f"{words} lies {max(clearance, 0.0):.3g} m from a wall or an obstacle of room '{room.name}': "
-                f"a {room.robot.body} needs {radius:g} m"
-            )
-    for (key, place), (other, there) in combinations(homes.items(), 2):
-        if math.dist(place, there) < 2.0 * radius:
-            raise OptionError(
-                f"{key} and {other} lie {math.dist(place, there):.3g} m apart: two robots need {2.0 * radius:g} m"
-            )
-
-
 def is_team(name_or_path: str) -> bool:
     """Return whether a name or file denotes a team."""
     path = FilePath(name_or_path).expanduser()
@@ -258,19 +228,3 @@ def is_team(name_or_path: str) -> bool:
     except (OSError, CtrlRlError):
         return False
     return isinstance(content, dict) and content.get("kind") == KIND
-
-
-def load_team(name_or_path: str) -> TeamFile:
-    """Load a team by name or file, and check it against its room.
-
-    Raises:
-        OptionError: The team does not exist or is invalid; the message names file and key.
-    """
-    path = team_file(name_or_path)
-    with raise_as(OptionError, path):
-        team = TeamFile.model_validate(read_yaml(path))
-        if team.name != path.stem:
-            raise FileError(f"name: is {short_repr(team.name)}, must be the file's name {short_repr(path.stem)}")
-        team._folder = path.resolve().parent
-        load_room(team)
-    return team

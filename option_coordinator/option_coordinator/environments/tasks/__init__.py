@@ -16,7 +16,8 @@ from option_coordinator.environments.tasks.tool_delivery_actions import ToolDeli
 from option_coordinator.environments.tasks.water_filling import OptionSet, Sight, WaterFillingSimulation
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Simulation
-from option_coordinator.teams.team_file import TeamFile, is_team, load_team, team_names
+from option_coordinator.teams.loading import load_team
+from option_coordinator.teams.team_file import TeamFile, is_team, team_names
 
 OptionTask = ToolDelivery | WaterFilling | TeamFile
 Level = Literal["options", "thesis", "actions"]

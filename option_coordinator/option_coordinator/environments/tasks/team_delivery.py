@@ -1,4 +1,4 @@
-"""A light simulation of a delivery team for learning: the robots' own `Delivery` and `ReactivePlanner`, no physics.
+"""A light simulation of a delivery team for learning: the robots' own `Delivery` and `Steering`, no physics.
 
 Robots are discs that move exactly as commanded. Each one observes the outlines of walls, obstacles and other robots,
 like a lidar.
@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Disc, Shape, draw_starts, load_navigation_task
-from option_coordinator.navigation.delivery import Delivery, ReactivePlanner
+from ctrl_rl_core import Disc, draw_starts, load_navigation_task
+from option_coordinator.navigation.planner import ReactivePlanner, outline
+from option_coordinator.navigation.steering import Steering
 from option_coordinator.options.options import Agent, Mask, Observation, Scene, SimulationStep
+from option_coordinator.teams.delivery import Delivery
 from option_coordinator.teams.team_file import TeamFile, Work
 
 Array = NDArray[np.float64]
 
-_SPACING = 0.05
 _RADIUS = 0.1
 
 
@@ -61,6 +62,7 @@ class TeamDeliverySimulation:
             draw_starts(self._task, self._system, self._world, len(self.agents), self._task.robot.radius, generator)
         )
         self._work = [Delivery(self.team, name) for name in self.team.robots]
+        self._steering = [Steering(self._planner, rank) for rank in range(len(self.agents))]
         self._began = [0.0] * len(self.agents)
         self._at_home = [False] * len(self.agents)
         self._steps = 0
@@ -129,7 +131,7 @@ class TeamDeliverySimulation:
 
     def _drive(self, agent: int, place: tuple[float, float]) -> None:
         x, y, heading = pose = self._poses[agent]
-        speed, turn = self._planner.command(pose, self._seen_by(agent), place)
+        speed, turn = self._steering[agent].command(pose, self._seen_by(agent), place, self._now)
         middle = heading + 0.5 * turn * self.time_step
         length = speed * self.time_step
         self._poses[agent] = (x + length * np.cos(middle), y + length * np.sin(middle), heading + turn * self.time_step)
@@ -140,23 +142,6 @@ class TeamDeliverySimulation:
         points = np.concatenate((self._outlines, (others[:, None] + _ROBOT).reshape(-1, 2)))
         far = np.abs(points - self._poses[agent, :2]).max(axis=1)
         return points[far < self._planner.look_ahead + _RADIUS]
-
-
-def outline(shape: Shape) -> Array:
-    """Return points (n, 2) on the edge of a shape [m]."""
-    if isinstance(shape, Disc):
-        angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * shape.radius / _SPACING)), endpoint=False)
-        return shape.centre + shape.radius * np.column_stack((np.cos(angles), np.sin(angles)))
-    half = 0.5 * np.asarray(shape.size)
-    edges = []
-    for client in (0, 1):
-        along = np.linspace(-half[client], half[client], max(2, round(shape.size[client] / _SPACING) + 1))
-        for end in (-half[1 - client], half[1 - client]):
-            edge = np.full((len(along), 2), end)
-            edge[:, client] = along
-            edges.append(edge)
-    c, s = np.cos(shape.angle), np.sin(shape.angle)
-    return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
 
 
 _ROBOT = outline(Disc((0.0, 0.0), _RADIUS))

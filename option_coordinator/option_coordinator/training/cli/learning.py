@@ -26,9 +26,7 @@ from option_coordinator.cli import ReplayOptions, prepare_replay
 from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
-from option_coordinator.environments.tasks.team_ways import check_ways
 from option_coordinator.policies.policy_file import HEADS, OptionPolicy, policy_file
-from option_coordinator.teams.team_file import TeamFile, load_room
 from option_coordinator.training.experiments.methods import METHODS
 
 ITERATIONS = 25
@@ -74,8 +72,6 @@ def _train(options: Train) -> int:
     if options.task is None or options.start is not None:
         raise CommandError("give a --task to learn in, or --bags to learn from; --from goes with --bags")
     task = load_option_task(options.task)  # rejects an unknown method before torch is imported and workers start
-    if isinstance(task, TeamFile):
-        check_ways(task, load_room(task))
     longest = make_environment(options.task).simulation.step_limit
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, regardless of earlier overshoot
     samples = task.training_samples if options.samples is None else options.samples

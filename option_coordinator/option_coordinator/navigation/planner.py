@@ -1,4 +1,4 @@
-"""One robot's work in a delivery team: its options, their rewards, and the reactive planner."""
+"""The reactive planner of a delivery team's robots, from a pose and nearby points to a velocity. No map."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from ctrl_rl_core.sensing import echoes
 from ctrl_rl_core.tasks import wrap
 from numpy.typing import NDArray
 
-from ctrl_rl_core import ScanGeometry
-from option_coordinator.protocol.option_executor import AgentObservation, OptionResult
-from option_coordinator.teams.team_file import TeamFile, Work
+from ctrl_rl_core import Disc, ScanGeometry, Shape
 
 Array = NDArray[np.float64]
 
 STAND = (0.0, 0.0)
+_SPACING = 0.05
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,8 @@ class ReactivePlanner:
         look_ahead: Length of the strip that must be free [m].
         stop: Distance from the robot's centre to an obstacle ahead at which the robot stops [m].
         arrived: Distance to the goal at which the robot has arrived [m].
+        clearance: Distance to walls and obstacles that a goal needs [m].
+        passage: Width that a passage needs, so that a robot also gets out of it again if it meets another one [m].
     """
 
     speed: float = 0.2
@@ -38,6 +39,8 @@ class ReactivePlanner:
     look_ahead: float = 0.55
     stop: float = 0.27
     arrived: float = 0.08
+    clearance: float = 0.3
+    passage: float = 0.7
 
     def there(self, pose: Array, place: tuple[float, float]) -> bool:
         """Return whether a pose x, y, theta (3,) is at the goal."""
@@ -54,7 +57,7 @@ class ReactivePlanner:
             points: Points seen by the lidar, in the frame of the pose (n, 2) [m].
             place: Goal position [m].
         """
-        points = _seen_from(pose, points)
+        points = seen_from(pose, points)
         dx, dy = place[0] - pose[0], place[1] - pose[1]
         distance, bearing = math.hypot(dx, dy), float(wrap(math.atan2(dy, dx) - pose[2]))
         if distance <= self.arrived:
@@ -99,79 +102,24 @@ def scan_points(pose: Array, ranges: NDArray[np.float32], scan: ScanGeometry, fo
     return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))))
 
 
-def _seen_from(pose: Array, points: Array) -> Array:
+def seen_from(pose: Array, points: Array) -> Array:
     """Transform points to the robot's frame, x ahead."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.asarray((points - pose[:2]) @ np.array(((c, -s), (s, c))))
 
 
-class Delivery:
-    """One robot's work; all times are from the same clock [s].
-
-    Args:
-        team: Team file of the robot's team.
-        name: Name of the robot in the team.
-
-    Attributes:
-        carries: Whether the robot carries a parcel.
-        delivered: Number of parcels delivered.
-        option: Index of the running option; None for none.
-    """
-
-    def __init__(self, team: TeamFile, name: str) -> None:
-        self._team, self._home = team, team.robots[name].home
-        self._options = tuple(team.options.values())
-        self.carries, self.delivered = False, 0
-        self.option: int | None = None
-        self._began = 0.0
-        self._arrived: float | None = None
-
-    def see(self, pose: NDArray[np.float64]) -> AgentObservation:
-        """Return the observation at a pose x, y, theta (3,), see `OBSERVED`, and the sensible options."""
-        wanted = {Work.WAIT}
-        if self.delivered == self._team.deliveries:
-            wanted.add(Work.REST)
-        else:
-            wanted.add(Work.DELIVER if self.carries else Work.FETCH)
-        observation = np.array((pose[0], pose[1], self.carries, self.delivered), np.float32)
-        return AgentObservation(observation, np.array([option.work in wanted for option in self._options]))
-
-    def begin(self, option: int, now: float) -> None:
-        """Start an option."""
-        self.option, self._began, self._arrived = option, now, None
-
-    @property
-    def place(self) -> tuple[float, float] | None:
-        """Goal position of the option [m], or None."""
-        if self.option is None:
-            return None
-        option = self._options[self.option]
-        return self._home if option.work is Work.REST else option.station
-
-    def at_place(self, now: float) -> OptionResult | None:
-        """Record that the robot has reached the option's position; return the result once the option is done."""
-        if self.option is None:
-            return None
-        self._arrived = now if self._arrived is None else self._arrived
-        option = self._options[self.option]
-        if now - self._arrived < option.lasts:
-            return None
-        reward = 0.0
-        if option.work is Work.DELIVER and self.carries:
-            self.carries, reward = False, self._team.rewards.delivery
-            self.delivered += 1
-        elif option.work is Work.FETCH:
-            self.carries = True
-        return self.leave(now, reward)
-
-    def leave(self, now: float, reward: float = 0.0) -> OptionResult:
-        """End the option and return its result; the reward belongs to the last step."""
-        steps = max(1, round((now - self._began) / self._team.time_step))
-        gamma = self._team.discount
-        on_the_way = self._team.rewards.step * float(np.sum(gamma ** np.arange(steps)))
-        self.option = None
-        return OptionResult(on_the_way + gamma ** (steps - 1) * reward, steps)
-
-    def over(self, option: int) -> bool:
-        """Return whether the work is finished after an option."""
-        return self._options[option].work is Work.REST
+def outline(shape: Shape) -> Array:
+    """Return points (n, 2) on the edge of a shape [m]."""
+    if isinstance(shape, Disc):
+        angles = np.linspace(0.0, 2.0 * np.pi, max(8, round(2.0 * np.pi * shape.radius / _SPACING)), endpoint=False)
+        return shape.centre + shape.radius * np.column_stack((np.cos(angles), np.sin(angles)))
+    half = 0.5 * np.asarray(shape.size)
+    edges = []
+    for client in (0, 1):
+        along = np.linspace(-half[client], half[client], max(2, round(shape.size[client] / _SPACING) + 1))
+        for end in (-half[1 - client], half[1 - client]):
+            edge = np.full((len(along), 2), end)
+            edge[:, client] = along
+            edges.append(edge)
+    c, s = np.cos(shape.angle), np.sin(shape.angle)
+    return shape.centre + np.concatenate(edges) @ np.array(((c, s), (-s, c)))
