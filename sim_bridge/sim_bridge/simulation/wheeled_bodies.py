@@ -150,7 +150,7 @@ class CarDrive(DifferentialDrive):
     ) -> None:
         super().__init__(base, drive, bounds, radius, options)
         assert drive.steering is not None
-        self._steering, self._angle = drive.steering, 0.0
+        self._steering, self._angle, self._speed = drive.steering, 0.0, 0.0
         lag = drive.steering.lag
         self._fraction = -math.expm1(-1.0 / (options.rate * lag)) if lag else 1.0
         self._most = drive.steering.rate / options.rate
@@ -168,4 +168,7 @@ class CarDrive(DifferentialDrive):
         # Both front wheels roll about the same point on the line of the rear axle (Ackermann).
         left, right = (math.atan(base * curvature / (1.0 + side * beside)) for side in (-1.0, 1.0))
         self._base.steer(left, right)
-        super().act(np.array((v, v * curvature)))
+        # The front wheels alone say how tight the turn is, so the motors' lag delays the speed, not the curvature.
+        self._speed += self._share * (v - self._speed)
+        left, right = (self._speed * (1.0 + side * beside) / self._counted for side in (-1.0, 1.0))
+        self._base.turn_wheels(left, right)
