@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ctrl_rl_core.geometry.shapes import frame_walls
+from ctrl_rl_core.geometry.shapes import Opening, frame_walls
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -53,6 +53,25 @@ def test_a_path_is_continuous_in_place_and_direction() -> None:
 def test_a_quarter_circle_ends_where_it_must() -> None:
     assert ArcPath((Arc(np.pi, 0.5),)).pose(np.pi) == pytest.approx([2.0, 2.0, np.pi / 2])
     assert ArcPath((Arc(1.0, 0.0),)).pose([-1.0, 2.0]) == pytest.approx(np.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+
+
+def test_an_opening_takes_away_one_side_alone() -> None:
+    low, high = 0.8, 1.4  # across the end of the first segment
+    walls = PATH.walls(WIDTH, openings=(Opening(low, high, -1.0),))
+    s = np.linspace(0.05, PATH.length - 0.05, 400)
+    x, y, heading = PATH.pose(s).T
+    for side, free in ((1.0, np.zeros(len(s), np.bool_)), (-1.0, (s > low) & (s < high))):
+        offset = side * (0.5 * WIDTH + 0.02)
+        inside = (
+            signed_distance(walls, np.stack((x - offset * np.sin(heading), y + offset * np.cos(heading)), -1)) < 0.0
+        )
+        rim = (np.abs(s - low) < 0.03) | (np.abs(s - high) < 0.03)
+        assert (inside == ~free)[~rim].all()
+
+
+def test_an_opening_that_lies_beside_the_path_or_covers_it_all_is_borne() -> None:
+    assert len(PATH.walls(WIDTH, openings=(Opening(-2.0, -1.0, 1.0),))) == len(PATH.walls(WIDTH))
+    assert 2 * len(PATH.walls(WIDTH, openings=(Opening(-1.0, 99.0, 1.0),))) == len(PATH.walls(WIDTH))
 
 
 def test_walls_stand_at_half_the_width_all_along() -> None:

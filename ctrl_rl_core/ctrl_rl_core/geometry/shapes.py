@@ -8,11 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+_SHORTEST_WALL = 1e-3
+"""Length below which a rest of a wall beside an opening is left out [m]."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,20 @@ class Arc:
     curvature: float
 
 
+class Opening(NamedTuple):
+    """A part of a path beside which one side has no wall.
+
+    Attributes:
+        low: Begin along the path [m].
+        high: End along the path [m].
+        side: 1.0 for the left side, -1.0 for the right one.
+    """
+
+    low: float
+    high: float
+    side: float
+
+
 @dataclass(frozen=True)
 class ArcPath:
     """A smooth plane path of arcs, from `start` in direction `heading`.
@@ -157,13 +175,16 @@ class ArcPath:
                 begin += arc.length
         return out
 
-    def walls(self, width: float, thickness: float = 0.05, largest_sag: float = 0.002) -> tuple[Box, ...]:
-        """Return gapless boxes along both sides of the path at distance width / 2.
+    def walls(
+        self, width: float, thickness: float = 0.05, largest_sag: float = 0.002, openings: Sequence[Opening] = ()
+    ) -> tuple[Box, ...]:
+        """Return boxes along both sides of the path at distance width / 2, gapless but for the openings.
 
         Args:
             width: Free width between the walls [m].
             thickness: Thickness of the walls, towards the outside [m].
             largest_sag: Maximum intrusion of a straight box into the free width, at its middle or ends [m].
+            openings: Parts of the path beside which a side has no wall.
 
         Raises:
             ValueError: The path has a radius below half the width.
@@ -175,11 +196,16 @@ class ArcPath:
                 raise ValueError(
                     f"a turn of radius {1 / abs(arc.curvature):.3g} m is too tight for a width of {width:.3g} m"
                 )
-            count = _pieces(arc, width, largest_sag)
-            middles = begin + (np.arange(count) + 0.5) * arc.length / count
-            for x, y, heading in self.pose(middles):
-                piece = Arc(arc.length / count, arc.curvature)
-                boxes.extend(_wall_piece(x, y, heading, side, piece, width, thickness) for side in (1.0, -1.0))
+            placed: list[tuple[float, float, Arc]] = []
+            for side in (1.0, -1.0):
+                for low, length in _closed(begin, arc.length, side, openings):
+                    count = _pieces(Arc(length, arc.curvature), width, largest_sag)
+                    piece = Arc(length / count, arc.curvature)
+                    placed.extend((begin + low + (k + 0.5) * length / count, -side, piece) for k in range(count))
+            placed.sort(key=lambda each: each[:2])
+            poses = self.pose([middle for middle, _, _ in placed])
+            for (x, y, heading), (_, sense, piece) in zip(poses, placed, strict=True):
+                boxes.append(_wall_piece(x, y, heading, -sense, piece, width, thickness))
             begin += arc.length
         return tuple(boxes)
 
@@ -215,6 +241,21 @@ def _along(x: float, y: float, heading: float, s: Array, curvature: Array) -> Ar
     chord = s * np.sinc(turn / (2 * np.pi))  # 2 / k * sin(k s / 2), finite for k = 0
     direction = heading + 0.5 * turn
     return np.stack((x + chord * np.cos(direction), y + chord * np.sin(direction), heading + turn), axis=-1)
+
+
+def _closed(begin: float, length: float, side: float, openings: Sequence[Opening]) -> list[tuple[float, float]]:
+    """Return the begin and length of each part of an arc beside which a side has a wall [m], from the arc's begin."""
+    parts = [(0.0, length)]
+    for opening in openings:
+        if opening.side != side:
+            continue
+        low, high = opening.low - begin, opening.high - begin
+        for first, long in parts.copy():
+            last = first + long
+            if low < last and high > first:
+                parts.remove((first, long))
+                parts += [(a, b - a) for a, b in ((first, low), (high, last)) if b - a > _SHORTEST_WALL]
+    return parts
 
 
 def _pieces(arc: Arc, width: float, largest_sag: float) -> int:

@@ -1,6 +1,8 @@
 from .actor_policy import policy_of as policy_of
 from .manifest import ScanPart as ScanPart
 from .observation import ObservationBuilder as ObservationBuilder
+from .path_node_driver import PATH_PARAMETERS as PATH_PARAMETERS
+from .path_node_driver import follow_paths as follow_paths
 from .policy import policy_digest as policy_digest
 from .policy import shipped_policies as shipped_policies
 from .pose_input import POSE_PARAMETERS as POSE_PARAMETERS

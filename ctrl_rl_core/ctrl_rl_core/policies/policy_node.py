@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core.driving.driver_node import DRIVER_PARAMETERS, MAX_DISTANCE, DriverNode, NodeDriver
 from ctrl_rl_core.policies.errors import PolicyError
+from ctrl_rl_core.policies.path_node_driver import PATH_PARAMETERS, follow_paths
 from ctrl_rl_core.policies.policy import Policy, find_policy, load_policy, policy_digest
 from ctrl_rl_core.policies.pose_input import POSE_PARAMETERS, PoseInput
 from ctrl_rl_core.ros.node import COMMAND
@@ -84,8 +85,10 @@ class PolicyNodeDriver(NodeDriver):
 
     def _decide(self, sensors: Sensors) -> Array:
         policy, tolerance = self._policy, self._settings["goal_tolerance"]
-        pose, goal = self._poses.pose() if "pose" in policy.needs else None, None
-        if "goal" in policy.needs:
+        pose, goal = sensors.pose, sensors.goal
+        if pose is None and "pose" in policy.needs:
+            pose = self._poses.pose()
+        if goal is None and "goal" in policy.needs:
             if self._goal is None:
                 raise PolicyError("waiting for goal_pose")
             goal = self._poses.place(*self._goal)
@@ -136,7 +139,7 @@ class PolicyNode(DriverNode):
     rotor_thrusts for a quadrotor. Each command carries the stamp of the scan that triggered it. A policy with a period
     decides once per period and holds its command in between; each scan limits that command again. If a component of the
     observation is missing or stale, the robot stops, or a quadrotor receives hover thrust. The policy can be replaced
-    by another one for the same kind of robot while driving.
+    by another one for the same kind of robot while driving. With follow_path it serves that action of Nav2.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -150,6 +153,7 @@ class PolicyNode(DriverNode):
             kind="path",
         ),
         *POSE_PARAMETERS,
+        *PATH_PARAMETERS,
         Parameter(
             "goal_tolerance",
             0.0,
@@ -162,7 +166,7 @@ class PolicyNode(DriverNode):
     )
 
     def __init__(self) -> None:
-        super().__init__("policy", PolicyNodeDriver)
+        super().__init__("policy", follow_paths(PolicyNodeDriver))
 
 
 def main() -> int:

@@ -142,9 +142,10 @@ class GoalServer:
             cancel_callback=self._on_cancel,
             result_timeout=_KEEP_S,
         )
+        node.goal_servers.append(self)
 
     def destroy(self) -> None:
-        """Abort the goals that are left, and take the server away."""
+        """Abort the goals that are left, and take the server away; a node that ends does this after its `stop`."""
         for goal in self._goals.values():
             goal.abort("the node ends")
         self._server.destroy()

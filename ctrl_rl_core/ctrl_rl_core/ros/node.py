@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
@@ -34,6 +34,9 @@ from ctrl_rl_core.errors import CtrlRlError, one_line
 from ctrl_rl_core.ros.callback_faults import Faults
 from ctrl_rl_core.ros.parameter_service import CheckedParameterService
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError, check_all, declare
+
+if TYPE_CHECKING:
+    from ctrl_rl_core.ros.goal_server import GoalServer
 
 SENSOR = qos_profile_sensor_data
 """QoS of subscriptions to scan and odom: best effort matches every publisher, including real robots."""
@@ -61,6 +64,7 @@ class SuiteNode(Node):
         FATAL: Callback errors that end the node, because it cannot continue its work.
         faults: Failures of its callbacks.
         executor_name: Kind of executor that runs the node.
+        goal_servers: Action servers, which end with the node.
         QUICK: Whether to use the events executor: half the latency and CPU of the default one, whose cost grows with
             every timer and service; it supports neither raw subscriptions nor guard conditions.
         SHARED_MEMORY: Whether Fast DDS may use shared memory. Disable it in a node that drives a robot: a process
@@ -78,6 +82,7 @@ class SuiteNode(Node):
         self.faults = Faults(self.on_callback_error, self.get_logger, self.FATAL)  # needed before the first callback
         self._refused_requests = 0
         self.executor_name = ""
+        self.goal_servers: list[GoalServer] = []
         super().__init__(name, start_parameter_services=False, **kwargs)
         for service in self.services:  # created by rclpy itself
             service.callback = self.faults.guard_service(service.callback, service.srv_name)

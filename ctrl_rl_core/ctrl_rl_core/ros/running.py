@@ -235,6 +235,8 @@ def _close(node: SuiteNode | None) -> None:
     try:
         if node is not None and rclpy.ok():
             node.stop()
+            for server in node.goal_servers:
+                server.destroy()
     finally:
         with _soon():
             if node is not None:

@@ -23,6 +23,8 @@ from .schema.system import STATE_UNITS as STATE_UNITS
 from .schema.system import SystemSpec as SystemSpec
 from .schema.world import CorridorSpec as CorridorSpec
 from .schema.world import MapSpec as MapSpec
+from .schema.world import ObstacleSpec as ObstacleSpec
+from .schema.world import OpeningSpec as OpeningSpec
 from .schema.world import RegionSpec as RegionSpec
 from .task_sets import PATH_NAMES as PATH_NAMES
 from .task_sets import PathCoordinates as PathCoordinates

@@ -230,6 +230,8 @@ def task_digest(task: TaskHeader) -> str:
         left_out["robot"] = {"footprint"}
     if isinstance(task, NavigationTask) and not task.system.states:  # compatible with digests that predate this key
         left_out["system"] = {"states"}
+    if isinstance(task, NavigationTask) and task.corridor is not None and not task.corridor.openings:  # the same
+        left_out["corridor"] = {"openings"}
     content = task.model_dump_json(exclude=left_out)
     if isinstance(task, NavigationTask) and task.robot.robot is not None and "/" in task.robot.body:
         # A custom robot counts by its values, independently of the location of its file.

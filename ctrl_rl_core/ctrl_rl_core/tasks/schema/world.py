@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, PrivateAttr, ValidationInfo, computed_field, field_validator, model_validator
 
-from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Shape, frame_walls
+from ctrl_rl_core.geometry.shapes import Arc, ArcPath, Box, Disc, Opening, Shape, frame_walls
 from ctrl_rl_core.geometry.units import Angle, Interval, Length, LengthInterval, Point, PositiveLength
 from ctrl_rl_core.navigation.occupancy_map import MapError, OccupancyMap
 from ctrl_rl_core.tasks.regions import Region
@@ -68,17 +68,44 @@ class TurnSpec(Part):
         return Arc(abs(self.turn) * self.radius, math.copysign(1.0 / self.radius, self.turn))
 
 
+class OpeningSpec(Part):
+    """An opening in a wall of a corridor.
+
+    Attributes:
+        s: Part of the path beside which there is no wall [m].
+        side: Side of the wall, seen along the path.
+    """
+
+    s: LengthInterval
+    side: Literal["left", "right"]
+
+    @field_validator("s")
+    @classmethod
+    def _wide(cls, value: Interval) -> Interval:
+        if value.length <= 0.0:
+            raise ValueError("must be wider than zero")
+        return value
+
+
 class CorridorSpec(Part):
     """Two walls along a path, closed behind the start and open at the end.
 
     The task's regions are in path coordinates: s along it [m], lateral to the left of it [m], heading
     relative to it [rad].
+
+    Attributes:
+        pieces: Segments of the path.
+        width: Nominal free width between the walls [m].
+        width_range: Free widths that an episode may draw [m].
+        wall_thickness: Thickness of the walls [m].
+        openings: Parts of the walls that are missing.
     """
 
     pieces: Several[StraightSpec | TurnSpec] = Field(min_length=1, max_length=1000)
     width: PositiveLength
     width_range: LengthInterval
     wall_thickness: PositiveLength
+    openings: Several[OpeningSpec] = ()
 
     @model_validator(mode="after")
     def _fits(self) -> CorridorSpec:
@@ -95,7 +122,8 @@ class CorridorSpec(Part):
     def walls(self, width: float) -> tuple[Box, ...]:
         """Return the walls at a free width [m], including the wall behind the start."""
         cap = Box((-0.5 * self.wall_thickness, 0.0), (self.wall_thickness, width + 2 * self.wall_thickness))
-        return (cap, *self.path.walls(width, self.wall_thickness))
+        openings = [Opening(*each.s, 1.0 if each.side == "left" else -1.0) for each in self.openings]
+        return (cap, *self.path.walls(width, self.wall_thickness, openings=openings))
 
 
 class DoorwaySpec(Part):
