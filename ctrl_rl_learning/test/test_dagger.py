@@ -1,9 +1,12 @@
 """Teaching: the teacher passes the doorways, a pupil learns from its own drives, and a run goes on where it was."""
 
 import numpy as np
+import pytest
 from ctrl_rl_learning.cli.teach import teach
 from ctrl_rl_learning.dagger import run as teaching_run
+from ctrl_rl_learning.dagger.clutter import KINDS, draw_corridor
 from ctrl_rl_learning.dagger.episode import corridor_interface, drive_labelled
+from ctrl_rl_learning.dagger.expert import wheeled
 from ctrl_rl_learning.dagger.run import DaggerTrainer, TaughtRun
 from ctrl_rl_learning.study.run import RunOptions
 
@@ -42,10 +45,26 @@ def test_a_run_goes_on_from_its_checkpoint_as_if_it_had_not_ended(tmp_path, monk
     assert later.load(tmp_path / "checkpoint") == {"curve": curve}
     assert later.iterate(curve) == point
     figures = later.finish(tmp_path)
-    assert set(figures) == {"success", "collisions", "loss"}
+    assert set(figures) == {"success", "collisions", "loss", "success by kind"}
     policy = load_policy(tmp_path / "policy.safetensors")
     assert policy.period is None
     assert policy.needs == frozenset()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_beside_every_leg_and_opening_the_expert_has_a_way(seed):
+    radius = wheeled(TASK).through_gaps
+    corridor = draw_corridor(TASK, radius, seed)
+    again = draw_corridor(TASK, radius, seed)
+    assert (again.task, again.width, again.kind) == corridor
+    assert (corridor.kind == KINDS[0]) == (corridor.task is TASK)
+    world = corridor.task.build_world(corridor.width)
+    assert len(world.obstacles) > 0 or corridor.kind in KINDS[:1]
+    assert drive_labelled(corridor.task, INTERFACE, seed, None, corridor.width).outcome == Outcome.GOAL.name
+
+
+def test_all_kinds_of_corridors_are_drawn():
+    assert {draw_corridor(TASK, 0.105, seed).kind for seed in range(24)} == set(KINDS)
 
 
 def test_a_task_without_a_corridor_is_refused_in_one_line(capsys, tmp_path):

@@ -15,6 +15,8 @@ from ctrl_rl_learning.study.run import RunOptions
 
 _ITERATION = 4000
 _FINAL_EVALUATIONS = 40
+_CLUTTERED = 4
+"""Factor of the evaluations where there are as many kinds of corridors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +33,8 @@ class Teach(ExperimentOptions):
     """Task with a corridor: one of the suite, or a task file."""
     folder: FolderToWrite = Path("runs/teach")
     """Folder of the runs; each run has its own subfolder and resumes there."""
+    clutter: bool = False
+    """Draw corridors as the file says in a quarter of the episodes, and with legs, openings or both in the others."""
     seeds: Positive = 3
     """Number of seeds, starting from 0."""
     samples: Positive = 8 * _ITERATION
@@ -45,8 +49,9 @@ def _teach(options: Teach) -> int:
     # Torch takes seconds to import: wait until the arguments are valid.
     from ctrl_rl_learning.dagger.run import TaughtRun, collect
 
-    runs = [TaughtRun(options.task, seed) for seed in range(options.seeds)]
-    how = RunOptions(options.folder, math.ceil(options.samples / _ITERATION), _ITERATION, 0, _FINAL_EVALUATIONS)
+    runs = [TaughtRun(options.task, seed, options.clutter) for seed in range(options.seeds)]
+    evaluations = _FINAL_EVALUATIONS * (_CLUTTERED if options.clutter else 1)
+    how = RunOptions(options.folder, math.ceil(options.samples / _ITERATION), _ITERATION, 0, evaluations)
     train_and_collect(options, task, runs, "teaching", collect, how)
     return 0
 

@@ -97,7 +97,11 @@ class _Labeller:
 
 
 def drive_labelled(
-    task: NavigationTask, interface: PolicyManifest, seed: int, student: Student | None = None
+    task: NavigationTask,
+    interface: PolicyManifest,
+    seed: int,
+    student: Student | None = None,
+    width: float | None = None,
 ) -> DaggerEpisode:
     """Drive one episode in the planar engine under the task's random conditions.
 
@@ -106,12 +110,13 @@ def drive_labelled(
         interface: Observation of the student.
         seed: Seed of the episode.
         student: Student that drives; the expert unless given.
+        width: Free width of the corridor [m]; drawn as the task says unless given.
     """
     robot = wheeled(task)
     stop = ObstacleStop(robot.through_gaps, 0.0, robot.plan.braking, _REACTION)  # what a node has in doorways
     safety = DriveSafety(ScanHealth(0.0, 6.3, 0), stop, robot.lidar.x, 1.0)
-    settings = SimulationOptions(engine="planar", rate=_RATE, randomise_width=True)
-    world = SimulatedWorld(task, seed, options=settings)
+    settings = SimulationOptions(engine="planar", rate=_RATE, randomise_width=width is None)
+    world = SimulatedWorld(task, seed, width=width, options=settings)
     try:
         driver = _Labeller(task, interface, world, student)
         simulated = SimulatedRobot(world, 1.0 / world.lidar.spec.rate, patience=_STANDS)
