@@ -72,12 +72,10 @@ class NavigatorActions:
             "follow_path": {"follow_path": (FollowPath, self._on_path)},
         }
         chosen = node.settings["actions"]
-        self._servers = [
-            GoalServer(node, kind, name, begin, self._on_cancel)
-            for group, actions in served.items()
-            if chosen in (group, "all")
-            for name, (kind, begin) in actions.items()
-        ]
+        for group, actions in served.items():
+            if chosen in (group, "all"):
+                for name, (kind, begin) in actions.items():
+                    GoalServer(node, kind, name, begin, self._on_cancel)
 
     def update(self, decision: Decision, pose: Array | None) -> None:
         """Report a decision at a pose (3,) to the client, and end the goal where the journey has ended."""
@@ -96,11 +94,6 @@ class NavigatorActions:
     def replace(self, reason: str) -> None:
         """Abort the goal because another one or a cancel has taken over the navigator."""
         self._end(lambda goal: goal.abort(reason))
-
-    def destroy(self) -> None:
-        """Abort the goal, and take the servers away."""
-        for server in self._servers:
-            server.destroy()
 
     def _on_pose(self, goal: ActiveGoal) -> None:
         self._begin(goal, legs_to([self._read(goal.request.pose)]), stops=True)

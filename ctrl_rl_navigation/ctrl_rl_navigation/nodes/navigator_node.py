@@ -99,12 +99,6 @@ class NavigatorNode(RobotNode):
         if value["actions"] != "follow_path":  # last: goals arrive from now on
             self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
 
-    def stop(self) -> None:
-        """Stop the robot, and tell the client of an action."""
-        super().stop()
-        if self._actions is not None:
-            self._actions.destroy()
-
     def _serve_actions(self) -> NavigatorActions | None:
         """Return the action servers; None without any, and where ROS has no nav2_msgs."""
         if self.settings["actions"] == "none":

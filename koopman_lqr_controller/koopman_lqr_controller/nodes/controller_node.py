@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from ctrl_rl_core.policies import PATH_PARAMETERS, POSE_PARAMETERS, follow_paths
 from ctrl_rl_core.ros import seconds
 from numpy.typing import NDArray
 from std_msgs.msg import Header
@@ -177,7 +178,8 @@ class Controller(DriverNode):
 
     Subscribes to scan and odom, publishes cmd_vel and ~/latent. Each cmd_vel carries the stamp of the scan that
     triggered it. The robot stops without a recent, usable scan and odometry, outside the policy's training region, and
-    while the policy's model predicts poorly. The policy can be replaced at run time.
+    while the policy's model predicts poorly. The policy can be replaced at run time. With follow_path it serves that
+    action of Nav2.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -218,10 +220,12 @@ class Controller(DriverNode):
         ),
         Parameter("most_retries", 5, "Largest number of retries in a row; 0 for none.", 0, 1000, live=True),
         MAX_DISTANCE,
+        *POSE_PARAMETERS,
+        *PATH_PARAMETERS,
     )
 
     def __init__(self) -> None:
-        super().__init__("koopman_lqr_controller", LatentDriver)
+        super().__init__("koopman_lqr_controller", follow_paths(LatentDriver))
 
 
 def _doubles(values: NDArray[np.float64]) -> array[float]:
