@@ -61,7 +61,7 @@ class Rig:
         self.namespace = f"/rig{next(_NUMBERS)}"
         self.policy = folder / "policy.safetensors"
         self.digest = write_policy(self.policy)
-        self.processes = {}
+        self.processes, self.log_level = {}, "error"
         self.node = rclpy.create_node("watcher", namespace=self.namespace)
         self.requests, self.grants, self.statuses, self.steps, self.diagnostics = [], [], [], [], []
         self._listen(OptionRequest, "option_requests", self._on_request)
@@ -95,7 +95,7 @@ class Rig:
     def start(self, name, program, *arguments, **parameters):
         settings = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
         names = ["-r", f"__ns:={self.namespace}", "-r", f"__node:={name}"]
-        words = [*arguments, "--ros-args", *names, *settings, "--log-level", "error"]
+        words = [*arguments, "--ros-args", *names, *settings, "--log-level", self.log_level]
         process = FORKS.Process(target=run, args=(program, words, dict(os.environ)), daemon=True)
         process.start()
         self.processes[name] = process

@@ -20,12 +20,13 @@ class TestRobot(SuiteNode):
         Parameter("lasts", 0.2, "How long each option lasts [s]."),
         Parameter("patience", 1.0, "Until it falls back [s]."),
         Parameter("team", "", "Name of its team."),
+        Parameter("keeps", False, "Whether the number of its finished options outlives its process."),
         Parameter("broken", "", "What its observation is.", choices=("", "number", "size")),
     )
 
     def __init__(self):
         super().__init__("robot")
-        self.running = None
+        self.running, self.done = None, 0
         self.ends = math.inf
         self.clocks = Clocks(self)
         timeouts = ClientTimeouts(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
@@ -39,7 +40,11 @@ class TestRobot(SuiteNode):
 
     def observe(self):
         broken = {"": np.zeros(2), "number": np.array((0.0, math.nan)), "size": np.zeros(3)}
-        return AgentObservation(broken[self.settings["broken"]], np.ones(3, bool))
+        work = f"done={self.done}" if self.settings["keeps"] else ""
+        return AgentObservation(broken[self.settings["broken"]], np.ones(3, bool), work)
+
+    def resume(self, work):
+        self.done = int(work.removeprefix("done="))
 
     def begin(self, option):
         if self.running is not None:
@@ -54,6 +59,7 @@ class TestRobot(SuiteNode):
     def work(self):
         if self.running is not None and self.now() >= self.ends:
             self.running = None
+            self.done += self.agent.option is not None
             self.agent.ended(1.0, 1)
 
     def status(self):

@@ -7,7 +7,7 @@ import pytest
 from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
 from team import at
 
-from option_coordinator import AgentObservation, ClientTimeouts, Grant, OptionClient, OptionResult, Request
+from option_coordinator import AgentObservation, ClientTimeouts, Grant, OptionClient, OptionResult, Request, TeamId
 
 
 class Log:
@@ -131,3 +131,54 @@ def test_its_last_word_is_repeated_until_it_is_heard(robot):
     robot.on_grant(granted(request_id=2, status=GrantStatus.REFUSED), at(5.1))
     assert (robot.finished, robot.state) == (True, AgentState.IDLE)
     assert not requests(robot.due_messages(at(6.0)))
+
+
+@pytest.mark.fault
+def test_a_grant_of_another_option_name_or_team_file_is_ignored_and_said():
+    client = OptionClient("r0", ("a", "b", "c"), Log(), incarnation=7, team=TeamId("t", "mine"))
+    client.ask(at(0.0))
+    client.on_grant(replace(granted(), option_name="a"), at(0.1))
+    assert client.problem == "option 1 is 'a' for the coordinator and 'b' here: give both the same options"
+    client.on_grant(replace(granted(), team="t", team_digest="other"), at(0.1))
+    assert client.problem.startswith("the coordinator's team file differs (digest other, this robot's mine)")
+    assert told(client) == []
+    assert (client.counts["grants of other options"], client.counts["grants of another team file"]) == (1, 1)
+    client.on_grant(replace(granted(), team="t", team_digest="mine", option_name="b"), at(0.2))
+    assert (told(client), client.problem) == ([1], "")
+
+
+@pytest.mark.fault
+def test_the_reason_of_a_refusal_and_of_a_cancellation_is_kept(robot):
+    robot.on_grant(granted(request_id=9), at(0.0))
+    robot.due_messages(at(0.0))
+    robot.on_grant(replace(granted(status=GrantStatus.REFUSED), reason="too old"), at(0.01))
+    assert robot.problem == "refused: too old"
+    robot.on_grant(granted(request_id=2), at(0.2))
+    assert robot.problem == ""
+    robot.on_grant(replace(granted(2, status=GrantStatus.CANCELLED), option_name="b", reason="too long"), at(0.3))
+    assert robot.problem == "'b' was cancelled: too long"
+
+
+class Carrier(Log):
+    """Executor with work that outlives it."""
+
+    work = "empty"
+
+    def observe(self):
+        return AgentObservation(np.zeros(2), np.ones(3, bool), self.work)
+
+    def resume(self, work):
+        self.work = work
+
+
+@pytest.mark.fault
+def test_a_restarted_robot_takes_over_its_kept_work_before_it_tells_its_own():
+    client = OptionClient("r0", ("a", "b", "c"), Carrier(), incarnation=7)
+    client.ask(at(0.0))
+    assert requests(client.due_messages(at(0.0)))[0].work == ""
+    client.on_grant(replace(granted(epoch=0, status=GrantStatus.REFUSED), reason="kept", work="a parcel"), at(0.1))
+    (request,) = requests(client.due_messages(at(0.3)))
+    assert (request.request_id, request.work, client.problem) == (2, "a parcel", "")
+    client.on_grant(granted(request_id=2), at(0.4))
+    client.on_grant(replace(granted(2, status=GrantStatus.CANCELLED), work="old"), at(0.5))
+    assert requests(client.due_messages(at(0.6)))[0].work == "a parcel"
