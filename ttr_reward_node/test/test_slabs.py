@@ -8,7 +8,8 @@ from ttr_reward_node.kernels.boundary_conditions import FIXED, FREE, NEAR
 from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.kernels.sweep import SweepSettings
 from ttr_reward_node.solvers import near_nodes, sweeper
-from ttr_reward_node.solvers.steps import make_layout, make_steps
+from ttr_reward_node.solvers.steps import make_layout
+from ttr_reward_node.solvers.tabulation import make_steps
 from ttr_reward_node.verification.cost import make_problem
 
 from ttr_reward_node import problem_from_task

@@ -10,7 +10,8 @@ from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.solvers.decomposition import find_decomposition, solve_decomposed, split
 from ttr_reward_node.solvers.near_nodes import find_near_nodes
 from ttr_reward_node.solvers.solver import solve_task
-from ttr_reward_node.solvers.steps import crossing_time, make_layout, make_steps
+from ttr_reward_node.solvers.steps import crossing_time, make_layout
+from ttr_reward_node.solvers.tabulation import make_steps
 
 from ctrl_rl_core import Axis, Interval, Quantity, Region, System
 from ttr_reward_node import TimeToReachError, TimeToReachProblem, problem_from_task, solve

@@ -15,14 +15,15 @@ from ctrl_rl_core import position_indices
 from ttr_reward_node.kernels.boundary_conditions import FIXED, FREE, INTERPOLATE, NEAR, BoundaryConditions, Paths
 from ttr_reward_node.kernels.entry_points import kernels
 from ttr_reward_node.kernels.stencil import Grid, StepTable
+from ttr_reward_node.kernels.step_tables import PARTS, trace_paths
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.held_motion import HeldPairs, move_for
-from ttr_reward_node.solvers.steps import PARTS, Layout, Steps, slab_states
+from ttr_reward_node.solvers.held_motion import Block, Derivatives, HeldPairs
+from ttr_reward_node.solvers.steps import Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # approximate extension of a step to find the target in the cell in which it ends [cells]
 _BEYOND = 1.05  # distance beyond the reach of a step that may affect it, because of its extension [cells]
-_BLOCK = 1 << 12  # number of outcomes computed at once; each needs about 3 kB
+_BLOCK = 1 << 11  # number of outcomes computed at once; each needs about 3 kB
 _ROUNDING = 1e-6  # distance below which a node lies on a limit [cells]
 
 
@@ -74,8 +75,8 @@ def find_near_nodes(
     del target, failed
     _flag_near(problem, layout, steps, flags)
     boundary = _boundary_conditions(problem, layout)
-    plane = [layout.order.index(k) for k in _plane(problem)]
-    spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
+    spacings = np.array([axis.spacing for axis in problem.axes])
+    derivatives = Derivatives(problem.system, steps.held)
     candidates = np.flatnonzero(flags == NEAR)
     inner = flags.size // layout.slabs
     pairs = steps.codes.shape[1]
@@ -84,7 +85,7 @@ def find_near_nodes(
         nodes = candidates[begin : begin + max(1, block // pairs)]
         slabs, local = np.unique(nodes // inner, return_inverse=True)
         parts = np.array_split(slabs, math.ceil(len(slabs) * pairs / _BLOCK))
-        paths = _joined(for_each(lambda some: _paths(problem, layout, steps, some, plane, spacings), parts))
+        paths = _joined(for_each(lambda some: _paths(problem, layout, steps, derivatives, some, spacings), parts))
         outcomes = np.empty((len(nodes), pairs), np.float32)
         follow(nodes, local, paths, grid, table.long, boundary, rate, outcomes)
         matters = (outcomes != INTERPOLATE).any(axis=1)
@@ -132,26 +133,26 @@ def _paths(
     problem: TimeToReachProblem,
     layout: Layout,
     steps: Steps,
+    derivatives: Derivatives,
     slabs: NDArray[np.int64],
-    plane: list[int],
     spacings: NDArray[np.float64],
 ) -> Paths:
     """Recompute the paths of the steps from some slabs; the tables only hold their ends."""
     durations = steps.durations[steps.codes[slabs]]
-    all_spacings = np.array([axis.spacing for axis in problem.axes])
-    states = slab_states(problem, layout, slabs)[:, None]
-    motion = move_for(problem.system, states, steps.held, all_spacings, durations)
-    there = (durations > 0.0)[..., None]
-    moves = np.where(there[..., None], motion.path(PARTS), 0.0)[..., layout.order].astype(np.float32)
-    ends = states + motion.moves * all_spacings
+    block = Block(derivatives, slab_states(problem, layout, slabs), spacings)
+    paths = block.move_for(durations.ravel())
+    moves = np.empty((*durations.shape, PARTS, len(layout.order)), np.float32)
+    trace_paths(paths, np.argsort(np.array(layout.order)), durations.shape[1], moves)
+    ends = block.ends
     row, column = np.nonzero(_ends_near_target(problem, layout, ends))
     held = HeldPairs(steps.held.u[column], steps.held.d[column])
     ahead, more = np.zeros((*durations.shape, 2, len(layout.order))), np.zeros(durations.shape)
-    fastest = np.abs(motion.last[row, column]).max(axis=-1)
+    fastest = np.abs(paths.last.reshape(-1, *durations.shape)[:, row, column]).max(axis=0)
     ahead[row, column], more[row, column] = _go_on(problem, held, ends[row, column], fastest)
     forward = np.ascontiguousarray(ahead[..., layout.order], dtype=np.float32)
-    reach = np.linalg.norm(moves[..., plane] * spacings, axis=-1).max(axis=-1).astype(np.float64)
-    return Paths(durations, np.ascontiguousarray(moves), forward, more, reach)
+    plane = [layout.order.index(k) for k in _plane(problem)]
+    reach = np.linalg.norm(moves[..., plane] * spacings[list(_plane(problem))], axis=-1).max(axis=-1)
+    return Paths(durations, moves, forward, more, reach.astype(np.float64))
 
 
 def _ends_near_target(problem: TimeToReachProblem, layout: Layout, ends: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -232,7 +233,7 @@ def _flag_near(problem: TimeToReachProblem, layout: Layout, steps: Steps, flags:
 
 
 def _may_reach_target(
-    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
+    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int8]
 ) -> Iterator[NDArray[np.bool_]]:
     """Yield, per axis of the target, a condition that broadcasts to the nodes of slabs (k,), shape (k, inner counts).
 
@@ -259,7 +260,7 @@ def _target_spans(problem: TimeToReachProblem) -> Iterator[tuple[int, float, flo
 
 
 def _may_reach_obstacle(
-    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int16]
+    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int8]
 ) -> NDArray[np.bool_]:
     """Whether obstacles are within reach of the slabs' nodes; arguments and shape as in `_may_reach_target`."""
     assert problem.clearance is not None

@@ -42,6 +42,7 @@ CROSSINGS = 100.0
 """1 / lambda, in times to cross the grid."""
 _SLOWER = 100.0  # factor of lower discount that separates long paths from paths that do not arrive
 _FEW = 0.05  # fraction of missed nodes below which they lie along an edge
+_BLOCK = 1 << 13  # number of nodes examined at once
 _FLAT, _FAINT = 0.05, 1e-6  # largest change of ln w between neighbours, and smallest w, attributed to a long path
 
 
@@ -112,16 +113,24 @@ class Phases:
 
         At such a node w changes little from node to node, at least towards one side along each axis.
         """
-        slow = np.flatnonzero(doubtful & (values >= _FAINT))
+        found = []
+        for begin in range(0, values.size, _BLOCK):
+            some = slice(begin, begin + _BLOCK)
+            found.append(self._smooth(values, begin + np.flatnonzero(doubtful[some] & (values[some] >= _FAINT))))
+        slow = np.concatenate(found)
+        return slow if len(slow) > _FEW * values.size else slow[:0]
+
+    def _smooth(self, values: NDArray[np.float32], nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return those of some nodes (k,) at which w changes little, at least towards one side along each axis."""
         stride = values.size
         for count in self.shape:
             stride //= count
-            at, logs, beside = slow // stride % count, np.log(values[slow]), np.zeros(len(slow), dtype=bool)
+            at, logs, beside = nodes // stride % count, np.log(values[nodes]), np.zeros(len(nodes), dtype=bool)
             for way, there in ((-stride, at > 0), (stride, at < count - 1)):
-                near = np.maximum(values[slow[there] + way], _FAINT)
+                near = np.maximum(values[nodes[there] + way], _FAINT)
                 beside[there] |= np.abs(np.log(near) - logs[there]) < _FLAT
-            slow = slow[beside]
-        return slow if len(slow) > _FEW * values.size else slow[:0]
+            nodes = nodes[beside]
+        return nodes
 
     def _reach_slow(
         self,

@@ -13,7 +13,8 @@ from ttr_reward_node.solvers.devices import CPU, find_device
 from ttr_reward_node.solvers.near_nodes import near_share
 from ttr_reward_node.solvers.phases import CROSSINGS, Phases, Scales
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
-from ttr_reward_node.solvers.steps import make_layout, make_steps, pairs, step_lengths, tried_controls
+from ttr_reward_node.solvers.steps import make_layout, pairs, step_lengths, tried_controls
+from ttr_reward_node.solvers.tabulation import make_steps
 
 _TOLERANCE = 0.1  # relative to the time that the slowest axis needs to cross a cell at its top speed
 _LONG = 3.5  # length above which a step must end where all corners are reachable and smooth [cells]
@@ -24,8 +25,10 @@ def memory_needed(problem: TimeToReachProblem) -> float:
     layout = make_layout(problem)
     lengths = step_lengths(problem)
     n_pairs = len(lengths) * len(pairs(problem, tried_controls(problem, layout))[0])
-    # Durations (twice while they are encoded), codes, ends and ranges.
-    steps = layout.slabs * n_pairs * (14.0 + 2.0 * len(layout.order) + 2.0 * len(layout.inner))
+    # Codes of the durations, ends, ranges and reach.
+    steps = layout.slabs * (
+        n_pairs * (2.0 + 2.0 * len(layout.order) + 2.0 * len(layout.inner)) + 2.0 * len(layout.order)
+    )
     near = near_share(problem, max(lengths)) * problem.points * n_pairs * 4.0
     rows = 40.0 * problem.points / layout.counts[-1]
     return steps + near + rows + problem.points * 21.0 + 2.5e8  # 250 MB for compilation
@@ -55,6 +58,7 @@ def solve(
     long = steps.lengths > _LONG
     table = StepTable(steps.codes, steps.ends, steps.ranges, long, steps.controls, discounts, steps.durations)
     sweeper = use(problem, layout, steps, table, grid, rate)
+    del steps  # its reach, which the sweeps do not need
     shape = tuple(problem.counts[k] for k in layout.order)
     phases = Phases(sweeper, shape, Scales(unit, crossing, rate, tolerance), max_sweeps, progress)
     converged = phases.run()

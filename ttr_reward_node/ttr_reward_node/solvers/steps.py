@@ -1,8 +1,8 @@
 """Steps of the semi-Lagrangian scheme: displacement of the system from each node under each control.
 
 Robots move the same way at every position, so f does not depend on some of the axes. The steps are tabulated over the
-other axes only (for a car, 72 headings rather than 734,472 nodes), with NumPy, from the single definition of f; the
-compiled sweep is independent of the system.
+other axes only (for a car, 72 headings rather than 734,472 nodes), from the single definition of f, which NumPy
+evaluates; the compiled code is independent of the system.
 
 A step lasts until the axis that moves fastest, in cells, has moved `cells` whole cells, however long that takes. So it
 ends on a plane of the grid: no interpolation is needed along that axis, and a node never refers to itself.
@@ -13,30 +13,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ctrl_rl_core import Axis, System
-from ttr_reward_node.kernels.stencil import PER_CELL
 from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.held_motion import HeldPairs, Motion, Room, move_cells
-from ttr_reward_node.solvers.threads import for_each
+from ttr_reward_node.solvers.held_motion import Derivatives, HeldPairs
 
-_BLOCK = 1 << 13  # number of steps computed at once, so that their arrays fit into the cache
-_SOME = 4096  # number of nodes at which the usefulness of a control is judged
-_FEW_AXES, _MANY_AXES = 2, 4
-_STIFF = 0.2  # duration below which only the fastest axis moves, relative to the slowest axis crossing a cell
-_PATIENCE = 1.5  # maximum duration relative to the fastest pair at a node, in games on more than two axes
-_GRAZE = 0.25  # distance that a path may extend beyond a node without leaving it [cells]
-_MOST_CODES = 1 << 16  # number of durations representable by 16 bits
-PARTS = 8
-"""Number of straight segments that approximate the path of a step."""
-_FAR = 10_000.0  # reach that fits into 16 bits and is beyond any grid [cells]
-_EDGE = 1e-3  # rounding error of a step truncated at a limit [cells]
+_BLOCK = 1 << 11  # number of steps computed at once, so that their arrays fit into the cache
+FEW_AXES, _MANY_AXES = 2, 4
 
 
 class Gridded(Protocol):
@@ -104,7 +93,7 @@ class Steps:
     durations: NDArray[np.float64]
     ends: NDArray[np.int16]
     ranges: NDArray[np.int8]
-    reach: NDArray[np.int16]
+    reach: NDArray[np.int8]
     controls: int
     crossing: float
 
@@ -129,8 +118,13 @@ def slab_states(problem: Gridded, layout: Layout, slabs: NDArray[np.int64] | Non
     if layout.outer:
         indices = np.unravel_index(chosen, tuple(layout.counts[: len(layout.outer)]))
         for k, index in zip(layout.outer, indices, strict=True):
-            states[:, k] = problem.axes[k].nodes[index]
+            states[:, k] = _nodes(problem.axes[k])[index]
     return states
+
+
+@lru_cache(maxsize=64)
+def _nodes(axis: Axis) -> NDArray[np.float64]:
+    return axis.nodes
 
 
 def pairs(
@@ -156,13 +150,11 @@ def crossing_time(problem: TimeToReachProblem) -> float:
     layout = make_layout(problem)
     u, d, _ = pairs(problem, tried_controls(problem, layout))
     spacings = np.array([axis.spacing for axis in problem.axes])
-    top = np.zeros(len(spacings))
-    for block in _blocks(layout.slabs, len(u)):
+    derivatives, top = Derivatives(problem.system, HeldPairs(u, d)), np.zeros(len(spacings))
+    for block in blocks(layout.slabs, len(u)):
         states = slab_states(problem, layout, np.arange(block.start, block.stop))
-        with np.errstate(all="ignore"):
-            rates = np.abs(rates_under_all_pairs(problem.system, states, u, d))
-        top = np.fmax(top, np.where(np.isfinite(rates), rates, 0.0).max(axis=(0, 1)))
-    top /= spacings
+        rates = np.abs(derivatives.of(states, spacings))
+        top = np.fmax(top, np.where(np.isfinite(rates), rates, 0.0).max(axis=1))
     return float(1.0 / top[top > 0].min()) if top.any() else 0.0
 
 
@@ -176,7 +168,7 @@ def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
     the values of long steps drives over the edges.
     """
     game = any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances)
-    if len(problem.axes) <= _FEW_AXES:
+    if len(problem.axes) <= FEW_AXES:
         return (2.0, 3.0, 7.0) if game else (2.0, 3.0, 7.0, 15.0)
     if game or problem.clearance is not None:
         return (2.0, 3.0)
@@ -203,158 +195,8 @@ def tried_controls(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.fl
     return samples
 
 
-def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
-    """Tabulate the steps: every control with every length of `step_lengths`."""
-    cells = step_lengths(problem)
-    u, d, controls = pairs(problem, tried_controls(problem, layout))
-    spacings = np.array([axis.spacing for axis in problem.axes])
-    crossing = crossing_time(problem)
-    disturbances = len(u) // controls
-    useful = _controls_to_keep(problem, layout, HeldPairs(u, d), crossing)
-    keep = np.tile(useful, disturbances)
-    held = HeldPairs(u[keep], d[keep])
-    shape = (layout.slabs, disturbances, len(cells), int(useful.sum()))
-    # During a long step, each player knows the other's next actions, which shifts the barriers of a pursuit on three or
-    # more axes. On two axes the grid is finer, and a weak control next to a strong one needs long steps to move a cell.
-    patience = _PATIENCE if disturbances > 1 and len(problem.axes) > _FEW_AXES else None
-    durations = np.empty(shape, np.float32)
-    ends = np.empty((*shape, len(layout.order)), np.int16)
-    ranges = np.empty((*shape, len(layout.inner), 2), np.int8)
-    reach = np.zeros((layout.slabs, len(layout.order), 2), np.int16)
-
-    def tabulate(block: slice) -> None:
-        x = slab_states(problem, layout, np.arange(block.start, block.stop))[:, None]
-        room = _room(problem, layout, x)
-        for i, length in enumerate(cells):
-            motion = move_cells(problem.system, x, held, spacings, room, length, patience, shape[-1])
-            low, high = motion.hull()
-            h = np.where(_leaves(problem, layout, x, motion, (low, high)), 0.0, motion.durations)
-            per = (len(x), disturbances, shape[-1])
-            durations[block, :, i] = h.reshape(per)
-            ends[block, :, i] = np.rint(layout.ordered(motion.moves) * PER_CELL).reshape(*per, -1)
-            _widen(reach[block], layout, low, high)
-            if layout.inner:
-                along = motion.along(layout.inner).path(PARTS)
-                ranges[block, :, i, ..., 0] = np.floor(np.minimum(along.min(axis=-2), 0.0) + _GRAZE).reshape(*per, -1)
-                ranges[block, :, i, ..., 1] = np.ceil(np.maximum(along.max(axis=-2), 0.0) - _GRAZE).reshape(*per, -1)
-
-    for_each(tabulate, _blocks(layout.slabs, len(held.u)))
-    n_pairs = math.prod(shape[1:])
-    codes, book = _numbered(durations.reshape(layout.slabs, n_pairs))
-    u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)
-    return Steps(
-        held=HeldPairs(u.reshape(n_pairs, -1), d.reshape(n_pairs, -1)),
-        lengths=np.tile(np.repeat(np.asarray(cells), shape[-1]), disturbances),
-        codes=codes,
-        durations=book,
-        ends=ends.reshape(layout.slabs, n_pairs, -1),
-        ranges=ranges.reshape(layout.slabs, n_pairs, len(layout.inner), 2),
-        reach=reach,
-        controls=len(cells) * shape[-1],
-        crossing=crossing,
-    )
-
-
-def _blocks(count: int, width: int) -> Iterator[slice]:
+def blocks(count: int, width: int) -> Iterator[slice]:
     """Yield ranges of rows small enough for the working set to fit into the cache."""
     size = max(1, _BLOCK // width)
     for begin in range(0, count, size):
         yield slice(begin, min(begin + size, count))
-
-
-def _numbered(durations: NDArray[np.float32]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
-    """Return 16-bit codes for durations, and the durations by code; code 0 is a duration of 0.
-
-    Exact if there are few distinct durations, as for a robot that moves the same way everywhere; otherwise to 1 part in
-    5,000, an error that mostly averages out over successive steps.
-    """
-    codes = np.empty(durations.shape, np.uint16)
-    if len(np.unique(durations.ravel()[: 2 * _MOST_CODES])) < _MOST_CODES:  # avoids sorting all of them in vain
-        book = np.unique(durations)
-        if len(book) < _MOST_CODES:
-            zero = int(len(book) == 0 or book[0] > 0.0)  # code 0 means no step, even if every pair has one
-            for begin in range(0, len(durations), _BLOCK):  # np.unique's return_inverse takes eight times the memory
-                some = slice(begin, begin + _BLOCK)
-                codes[some] = np.searchsorted(book, durations[some]) + zero
-            return codes, np.concatenate((np.zeros(zero), book))
-    least = float(durations.min(where=durations > 0.0, initial=np.inf))
-    logs = np.linspace(math.log(least), math.log(float(durations.max())), _MOST_CODES - 1)
-    for begin in range(0, len(durations), _BLOCK):
-        some = slice(begin, begin + _BLOCK)
-        with np.errstate(divide="ignore"):
-            at = (np.log(durations[some]) - logs[0]) / (logs[1] - logs[0])
-        codes[some] = np.where(durations[some] > 0.0, np.rint(np.maximum(at, 0.0)) + 1.0, 0.0)
-    return codes, np.concatenate(([0.0], np.exp(logs)))
-
-
-def _controls_to_keep(
-    problem: TimeToReachProblem, layout: Layout, held: HeldPairs, crossing: float
-) -> NDArray[np.bool_]:
-    """Whether each control is kept: the vertices, and others unless all their steps are very short.
-
-    For example, half of a torque that reverses a quadrotor's pitch rate within milliseconds achieves nothing that the
-    full torque does not. The decision is based on the rates at a subset of the nodes.
-    """
-    controls = tried_controls(problem, layout)
-    if not problem.system.controls:
-        return np.ones(1, dtype=bool)
-    vertex = np.isin(controls, problem.system.control_bounds).all(axis=-1)
-    if vertex.all():
-        return np.asarray(vertex)
-    some = np.unique(np.linspace(0, layout.slabs - 1, _SOME).astype(np.int64))
-    spacings = np.array([axis.spacing for axis in problem.axes])
-    rates = rates_under_all_pairs(problem.system, slab_states(problem, layout, some), *held) / spacings
-    with np.errstate(divide="ignore"):
-        short = 1.0 / np.abs(rates).max(axis=-1) < _STIFF * crossing
-    return np.asarray(vertex | ~short.reshape(-1, len(controls)).all(axis=0))
-
-
-def _room(problem: TimeToReachProblem, layout: Layout, x: NDArray[np.float64]) -> Room:
-    """Return the free space of states (k, 1, n): a step is truncated at a limit of an outer axis.
-
-    Along an inner axis all nodes share the step, so it is not truncated; nodes from which it would leave the grid skip
-    it.
-    """
-    below, above = np.full(x.shape, np.inf), np.full(x.shape, np.inf)
-    for k in layout.outer:
-        low, high = problem.limits[:, k]
-        spacing = problem.axes[k].spacing
-        below[..., k], above[..., k] = (x[..., k] - low) / spacing, (high - x[..., k]) / spacing
-    return Room(below, above)
-
-
-def _leaves(
-    problem: TimeToReachProblem,
-    layout: Layout,
-    x: NDArray[np.float64],
-    motion: Motion,
-    hull: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> NDArray[np.bool_]:
-    """Whether steps (k, p) from states (k, 1, n) leave the limits of an outer axis; `hull` is that of the motion.
-
-    A step that starts beyond a limit, at the node next to it, only has to end within the limits.
-    """
-    doubtful, outside = np.zeros((2, *motion.durations.shape), dtype=bool)
-    for k in layout.outer:
-        (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
-        below, above = (low - x[..., k]) / spacing, (high - x[..., k]) / spacing
-        doubtful |= (hull[0][..., k] < below - 0.5 * _EDGE) | (hull[1][..., k] > above + 0.5 * _EDGE)
-        way = x[..., k] + spacing * motion.moves[..., k]
-        outside |= (way < low - _EDGE * spacing) | (way > high + _EDGE * spacing)
-    row, column = np.nonzero(doubtful & ~outside)
-    path, start = motion.of(row, column).path(PARTS), x[row, 0]
-    for k in layout.outer:
-        (low, high), spacing = problem.limits[:, k], problem.axes[k].spacing
-        way = start[:, None, k] + spacing * path[..., k]
-        beyond = (way < low - _EDGE * spacing) | (way > high + _EDGE * spacing)
-        within = (start[:, k] >= low - _EDGE * spacing) & (start[:, k] <= high + _EDGE * spacing)
-        outside[row, column] |= np.where(within, beyond.any(axis=-1), beyond[..., -1])
-    return outside
-
-
-def _widen(reach: NDArray[np.int16], layout: Layout, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Extend the reach (k, n, 2) of states by boxes (k, p, n) [cells] around their steps."""
-    lowest = reduce(np.minimum, (low[:, p] for p in range(low.shape[1])))
-    highest = reduce(np.maximum, (high[:, p] for p in range(high.shape[1])))
-    reach[..., 0] = np.minimum(reach[..., 0], np.floor(np.maximum(layout.ordered(lowest), -_FAR)))
-    reach[..., 1] = np.maximum(reach[..., 1], np.ceil(np.minimum(layout.ordered(highest), _FAR)))

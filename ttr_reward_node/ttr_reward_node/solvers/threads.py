@@ -25,8 +25,9 @@ def share(work: Callable[[int, int], Result], parts: int) -> list[Result]:
 
 def for_each(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Return the results of `work(item)` for each item, in order, computed on the available cores."""
-    threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS)
-    if threads == 1:
+    items = list(items)
+    threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS, len(items))
+    if threads <= 1:  # a thread has memory of its own, which stays with the process
         return [work(item) for item in items]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, items))
