@@ -185,7 +185,7 @@ def test_a_gap_of_years_asks_for_no_memory(tmp_path: Path) -> None:
 def test_a_jump_of_the_odometry_parts_the_drive(tmp_path: Path) -> None:
     episodes, found = read(write(tmp_path / "bag", jump_at=20))
     assert pairs(episodes) == [(k, float(k)) for k in range(39) if k != 19]
-    assert "the odometry jumps at 1 times" in found.notes[0]
+    assert "the odometry jumps once, " in found.notes[0]
     with pytest.warns(UserWarning, match="/odom jumps"):
         assert [len(part) for part in align(tmp_path / "bag", ["/odom"], "/odom")] == [20, 20]
 

@@ -200,10 +200,11 @@ class _Run:
         jumps = self._series["odom"].across(begins, ends)
         inside = jumps & (self._number[:-1] == self._number[1:]) & (ends - begins < LONGEST_NS)
         if inside.any():
-            where = (begins[inside][0] - times[0]) * 1e-9
+            where, count = (begins[inside][0] - times[0]) * 1e-9, _count(inside)
+            often = "once," if count == 1 else f"{count} times, first"
             self._tell(
-                f"{self._bag.path}: the odometry jumps at {_count(inside)} times, first {where:.1f} s after the "
-                "first scan: the drive is cut there"
+                f"{self._bag.path}: the odometry jumps {often} {where:.1f} s after the first scan: the drive is cut "
+                "there"
             )
         commands = acting(self._series["command"], begins, ends, self._since[:-1])
         joined = usable[:-1] & usable[1:] & ~jumps & (ends - begins < LONGEST_NS)
