@@ -80,6 +80,16 @@ def test_the_report_can_be_made_again_from_the_bag_alone(run, team: Path) -> Non
     assert (folder / "timeline.png").exists()
 
 
+@pytest.mark.fault
+def test_a_run_that_takes_too_long_is_cut_off_and_says_so(tmp_path: Path) -> None:
+    answer = command("options_demo", "--speed", 4, "--limit", 4, "--output", tmp_path / "run")
+    assert answer.returncode == 1
+    assert "outcome             cut off after" in answer.stdout
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert not report["finished"]
+    assert "the limit passed" in report["verdict"]
+
+
 @pytest.mark.parametrize(
     ("option", "words"),
     [

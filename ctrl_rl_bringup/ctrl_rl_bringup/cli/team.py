@@ -57,6 +57,9 @@ class DemoOptions(_TeamOptions):
     ready_limit: float = TeamConfig.ready_limit
     """Time within which all nodes must be ready [s]; a busy machine may take minutes."""
 
+    limit: at_least(0) = TeamConfig.limit  # type: ignore[valid-type]
+    """Simulated time after which the run is cut off [s]; 0 for three of the team's episodes."""
+
 
 @dataclass(frozen=True)
 class ReportOptions(_TeamOptions):
@@ -75,6 +78,9 @@ class MonitorOptions(_TeamOptions):
 
     ready_limit: float = TeamConfig.ready_limit
     """Time within which all nodes must be ready [s]."""
+
+    limit: at_least(0) = TeamConfig.limit  # type: ignore[valid-type]
+    """Simulated time after which the run is cut off [s]; 0 for three of the team's episodes."""
 
 
 def demo() -> int:
@@ -95,7 +101,8 @@ def report() -> int:
 def monitor() -> int:
     """Start the simulation once a team's nodes are connected, and follow the work to its end."""
     options = parse_options("options_monitor", MonitorOptions, own_arguments("options_monitor"))
-    return run_here("options_monitor", lambda: follow_running_team(load_team(options.team), options.ready_limit))
+    team, limits = options.team, (options.ready_limit, options.limit)
+    return run_here("options_monitor", lambda: follow_running_team(load_team(team), *limits))
 
 
 def _demo(config: TeamConfig) -> int:

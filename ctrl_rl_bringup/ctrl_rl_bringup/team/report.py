@@ -12,13 +12,15 @@ import numpy as np
 from ctrl_rl_core.ros import seconds
 from numpy.typing import NDArray
 from option_coordinator.environments import Span
-from option_coordinator.protocol import GrantStatus
+from option_coordinator.protocol import TASK_OVER, GrantStatus
 
 from ctrl_rl_bags import BagError, bag_info, read_messages
 from ctrl_rl_bringup.runner.transport import lost_messages, read_sent, recorded_parameters
 
 Array = NDArray[np.float64]
 
+_USED_UP = 0.98
+_NO_TROUBLE = "no option overran, so the limit passed or the run was interrupted"
 _SHARED = ("/option_requests", "/option_grants", "/joint_option_step")
 
 
@@ -41,6 +43,7 @@ class TeamRun:
         messages: Number of recorded messages.
         lost: Number of messages published while the recorder listened, but not recorded.
         idle: Names of options that do not count as work.
+        troubles: Overruns and refusals of each robot, in words, which explain a run that was cut off.
     """
 
     agents: tuple[str, ...]
@@ -57,11 +60,20 @@ class TeamRun:
     messages: int
     lost: int
     idle: frozenset[str] = frozenset()
+    troubles: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """How the run ended, and why it was cut off."""
+        if self.finished:
+            return "all work done"
+        return f"cut off after {self.duration:.0f} s: {'; '.join(self.troubles) or _NO_TROUBLE}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain JSON values."""
         return {
             "finished": self.finished,
+            "verdict": self.verdict,
             "policy": self.policy,
             "time_s": self.duration,
             "decisions": self.decisions,
@@ -84,7 +96,7 @@ class TeamRun:
         latency = f"{1e3 * np.median(self.latencies):.1f} ms median" if len(self.latencies) else "none"
         return "\n".join(
             (
-                f"outcome             {'all work done' if self.finished else 'cut off'}",
+                f"outcome             {self.verdict}",
                 f"policy              {self.policy}",
                 f"time                {self.duration:.1f} s",
                 f"decisions           {self.decisions}, return {self.team_return:.1f}",
@@ -131,11 +143,12 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
     begin, end = seconds(steps[0].header.stamp), seconds(steps[-1].header.stamp)
     grants, requests = said["/option_grants"], said["/option_requests"]
     settings = recorded_parameters(info.custom_data, "option_coordinator")
+    runs = spans(grants, requests, begin, end)
     return TeamRun(
         agents=tuple(steps[0].agents),
         policy=Path(str(settings.get("policy", "unknown"))).name
         + (f" ({steps[0].policy_digest[:12]})" if steps[0].policy_digest else ", not learnt"),
-        spans=tuple(spans(grants, requests, begin, end)),
+        spans=tuple(runs),
         finished=bool(steps[-1].terminated),
         duration=end - begin,
         decisions=len(steps),
@@ -147,6 +160,7 @@ def read_team(bag: Path, idle: Collection[str] = ()) -> TeamRun:
         messages=info.message_count,
         lost=lost_messages(read_sent(bag)),
         idle=frozenset(idle),
+        troubles=tuple(troubles([grant for _, grant in grants], runs)),
     )
 
 
@@ -165,6 +179,18 @@ def spans(grants: list[tuple[int, Any]], requests: list[tuple[int, Any]], begin:
         times = seconds(grant.header.stamp) - begin, ends.get(key, end) - begin
         out[grant.agent, grant.grant_id] = Span(grant.agent, grant.option_name, *times, finished)
     return list(out.values())
+
+
+def troubles(grants: list[Any], runs: list[Span]) -> list[str]:
+    """Return in words how often each robot exceeded an option's maximum duration, and why it was last refused."""
+    limits = {(g.agent, g.option_name): g.deadline for g in grants if g.status == GrantStatus.GRANTED}
+    long = [(r.agent, r.option) for r in runs if r.end - r.begin >= _USED_UP * limits[r.agent, r.option]]
+    out = [
+        f"{agent} exceeded the {limits[agent, option]:g} s of '{option}' {count} time{'s' * (count > 1)}"
+        for (agent, option), count in Counter(long).items()
+    ]
+    refused = {g.agent: g.reason for g in grants if g.status == GrantStatus.REFUSED and g.reason != TASK_OVER.reason}
+    return out + [reason if reason.startswith(agent) else f"{agent}: {reason}" for agent, reason in refused.items()]
 
 
 def _answer(grant: Any) -> str:

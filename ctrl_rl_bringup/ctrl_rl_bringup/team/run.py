@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from ctrl_rl_core.ros import seconds
 from option_coordinator.nodes import EXCHANGE
 from option_coordinator.protocol import GrantStatus
 from option_coordinator.scripted import SCRIPTED
@@ -41,6 +42,7 @@ class TeamConfig:
         gui: Whether PyBullet shows a window.
         engine: Physics engine of the simulator, "auto" for PyBullet where it is installed, else MuJoCo.
         ready_limit: Time within which all nodes must be ready [s].
+        limit: Simulated time after which the run is cut off [s]; 0 for three of the team's episodes.
     """
 
     folder: Path
@@ -52,6 +54,7 @@ class TeamConfig:
     gui: bool = False
     engine: str = "auto"
     ready_limit: float = DriveConfig.ready_limit
+    limit: int = 0
 
     @cached_property
     def task(self) -> str:
@@ -95,6 +98,7 @@ def coordinator(options: TeamConfig) -> NodeSpec:
         "lost_after": 4.0 * _LEASE,
         "stale": min(4.0 * _LEASE * max(1.0, options.speed), _LONGEST_STALE),
         "repeat": _HEARTBEAT,
+        "memory": str((options.folder / "work.sqlite").absolute()),
     }
     return NodeSpec("option_coordinator", "coordinator", parameters)
 
@@ -120,20 +124,25 @@ def watchdogs(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
 
 
 _SILENT_S = 60.0
+_EPISODES = 3.0
+"""Default limit of a run [episodes of the team]."""
 
 
 class TeamMonitor(Monitor):
-    """Follows a team until its coordinator reports that the work is over.
+    """Follows a team until its coordinator reports that the work is over or cut off, or the limit has passed.
 
     Args:
         check: Called repeatedly; raises if a node of the run has died.
         team: Team to follow.
         ready_limit: Time within which all nodes must be ready [s].
+        limit: Simulated time after which the run is cut off [s]; 0 for three of the team's episodes.
     """
 
-    def __init__(self, check: Callable[[], None], team: TeamFile, ready_limit: float) -> None:
+    def __init__(self, check: Callable[[], None], team: TeamFile, ready_limit: float, limit: float = 0.0) -> None:
         super().__init__(check, ready_limit=ready_limit)
         self._team = team
+        self._limit_s = limit or _EPISODES * team.learning.episode
+        self._began: float | None = None
         own = [f"{robot}/{topic}" for robot in team.robots for topic in ("scan", "odom", RAW, "cmd_vel", "episode")]
         self._topics = ("clock", "joint_option_step", "option_grants", *own)
         self._shared = ("option_requests", "agent_status")
@@ -162,10 +171,12 @@ class TeamMonitor(Monitor):
             display.close()
 
     def _on_step(self, message: JointOptionStep) -> None:
-        self._over = self._over or message.terminated
+        self._over = self._over or message.terminated or message.truncated
 
-    def _on_status(self, _message: AgentStatus) -> None:
-        self._heard = time.monotonic()
+    def _on_status(self, message: AgentStatus) -> None:
+        self._heard, now = time.monotonic(), seconds(message.header.stamp)
+        self._began = now if self._began is None else min(self._began, now)
+        self._over = self._over or now - self._began > self._limit_s
 
     def _on_grant(self, message: OptionGrant) -> None:
         if message.status == GrantStatus.GRANTED and self._team.options[message.option_name].work is not Work.WAIT:
@@ -205,15 +216,15 @@ def run_team(options: TeamConfig) -> None:
     others = [coordinator(options), *watchdogs(options, team), *agents(options, team)]
     with ros(), Processes(options.folder) as processes:
         processes.start([recorder(options.drive, digests), team_simulator(options, team), *others])
-        _follow(TeamMonitor(processes.check, team, options.ready_limit))
+        _follow(TeamMonitor(processes.check, team, options.ready_limit, options.limit))
         for name in (*(node.name for node in reversed(others)), "bridge", "recorder"):
             processes.stop(name)
 
 
-def follow_running_team(team: TeamFile, ready_limit: float) -> int:
-    """Follow a team whose nodes run already; return 0 once its work is over."""
+def follow_running_team(team: TeamFile, ready_limit: float, limit: float) -> int:
+    """Follow a team whose nodes run already; return 0 once its work is over or cut off."""
     with ros():
-        _follow(TeamMonitor(lambda: None, team, ready_limit))
+        _follow(TeamMonitor(lambda: None, team, ready_limit, limit))
     return 0
 
 
