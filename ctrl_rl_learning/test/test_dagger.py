@@ -8,6 +8,8 @@ from ctrl_rl_learning.dagger.clutter import KINDS, draw_corridor
 from ctrl_rl_learning.dagger.episode import corridor_interface, drive_labelled
 from ctrl_rl_learning.dagger.expert import wheeled
 from ctrl_rl_learning.dagger.run import DaggerTrainer, TaughtRun
+from ctrl_rl_learning.dagger.student import Student
+from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.study.run import RunOptions
 
 from ctrl_rl_core import Outcome, load_navigation_task, load_policy
@@ -61,6 +63,23 @@ def test_beside_every_leg_and_opening_the_expert_has_a_way(seed):
     world = corridor.task.build_world(corridor.width)
     assert len(world.obstacles) > 0 or corridor.kind in KINDS[:1]
     assert drive_labelled(corridor.task, INTERFACE, seed, None, corridor.width).outcome == Outcome.GOAL.name
+
+
+def test_a_scan_for_which_the_expert_knows_no_command_is_left_out():
+    """Drives against a leg, from where no node around has a time to reach."""
+    random = np.random.default_rng(0)
+    for seed in (1, 2, 3, 4):
+        corridor = draw_corridor(TASK, wheeled(TASK).through_gaps, seed)
+        student = lambda _: np.array((0.15, random.uniform(-2.0, 2.0)))  # noqa: E731
+        found = drive_labelled(corridor.task, INTERFACE, seed, student, corridor.width)
+        assert all(np.isfinite(each.wanted).all() for each in found.samples)
+
+
+def test_a_student_refuses_to_learn_what_is_not_finite():
+    student = Student(INTERFACE)
+    seen = np.zeros((4, INTERFACE.size), np.float32)
+    with pytest.raises(LearningError, match="not finite"):
+        student.fit(seen, np.full((4, 2), np.nan, np.float32), 1, np.random.default_rng(0))
 
 
 def test_all_kinds_of_corridors_are_drawn():

@@ -92,8 +92,12 @@ class _Labeller:
     def command(self, sensors: Sensors) -> Array:
         seen = self._observe(sensors)
         wanted = self._expert.command(self._world.pose(), np.array(sensors.speeds))
-        self.samples.append(LabelledSample(seen, wanted))
-        return wanted if self._student is None else self._student(seen)
+        knows = bool(np.isfinite(wanted).all())
+        if knows:
+            self.samples.append(LabelledSample(seen, wanted))
+        if self._student is not None:
+            return self._student(seen)
+        return wanted if knows else np.zeros(2)
 
 
 def drive_labelled(

@@ -73,7 +73,10 @@ class Expert:
         self._ahead = LookAhead(self._limits, period, period + robot.delay, robot.plan.braking)
 
     def command(self, pose: Array, motion: Array) -> Array:
-        """Return the command (2,) [m/s, rad/s] at a pose (3,) [m, m, rad] and a motion v, omega (2,)."""
+        """Return the command (2,) [m/s, rad/s] at a pose (3,) [m, m, rad] and a motion v, omega (2,).
+
+        The command is NaN where the expert knows no way: so close to a post that no node around has a time to reach.
+        """
         near = self._rim[self._tree.query_ball_point(pose[:2], self._ahead.reach)] - pose[:2]
         c, s = math.cos(pose[2]), math.sin(pose[2])
         choice = self._ahead.choose(self._value, pose, motion, near @ np.array(((c, -s), (s, c))))

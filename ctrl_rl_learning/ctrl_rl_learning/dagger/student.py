@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch.nn.functional import mse_loss
 
 from ctrl_rl_core import Actor, PolicyManifest
+from ctrl_rl_learning.errors import LearningError
 from ctrl_rl_learning.torch.networks import ActorNetwork, new_actor
 from ctrl_rl_learning.torch.optimization import anneal_lr, gradient_step
 
@@ -57,7 +58,13 @@ class Student:
         updates: int,
         random: np.random.Generator,
     ) -> float:
-        """Fit commands (N, 2) to observations (N, n); return the mean squared error over the last tenth of updates."""
+        """Fit commands (N, 2) to observations (N, n); return the mean squared error over the last tenth of updates.
+
+        Raises:
+            LearningError: An observation or a command is not finite.
+        """
+        if not (np.isfinite(observations).all() and np.isfinite(commands).all()):
+            raise LearningError("observations or commands to learn from are not finite")
         inputs = torch.from_numpy((observations - self._middle) / self._unit)
         wanted = torch.from_numpy(2.0 * (commands - self._low) / self._span - 1.0)
         losses = []
