@@ -31,6 +31,15 @@ def observe(*parts: dict, **given) -> np.ndarray:
     return ObservationBuilder(manifest(observation=list(parts)))(sensors(**given))
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_network_that_has_diverged_is_not_written(tmp_path: Path, value: float) -> None:
+    sound = actor(manifest())
+    broken = replace(sound, biases=(np.full_like(sound.biases[0], value), *sound.biases[1:]))
+    with pytest.raises(PolicyError, match="has diverged"):
+        broken.save(tmp_path / "policy.safetensors")
+    assert not list(tmp_path.iterdir())
+
+
 def test_parts_follow_each_other_cut_off_and_scaled() -> None:
     found = observe(
         {"source": "odometry", "names": ["omega", "v"], "low": -0.4, "unit": [0.2, 0.1]},

@@ -12,7 +12,7 @@ from ctrl_rl_learning.on_robot.environment.robot_env import StepClock
 from ctrl_rl_learning.on_robot.learning.fine_tuner import FineTuner, TuneSettings
 from ctrl_rl_learning.on_robot.learning.policy import read_policy
 from ctrl_rl_learning.on_robot.learning.session import Session
-from ctrl_rl_learning.torch.checkpoints import save_arrays
+from ctrl_rl_learning.torch.checkpoints import save_arrays, state_arrays
 from ctrl_rl_learning.torch.replay_buffer import ReplayBuffer
 from hypothesis import given
 from hypothesis import strategies as st
@@ -139,3 +139,12 @@ def test_the_policy_comes_to_do_what_the_operator_did() -> None:
         tuner.add(row, wanted, 0.0, row, 0.0, by_operator=True)
     tuner.learn(1, random)
     assert np.abs(np.array([tuner.act(row) for row in seen]) - wanted).mean() < 0.5 * before
+
+
+def test_weights_that_are_not_finite_are_told_and_not_kept() -> None:
+    layer = torch.nn.Linear(2, 1)
+    assert set(state_arrays({"actor": layer}, {})) == {"actor.weight", "actor.bias"}
+    with torch.no_grad():
+        layer.bias.fill_(float("nan"))
+    with pytest.raises(LearningError, match="diverged: weights actor.bias are not finite"):
+        state_arrays({"actor": layer}, {})

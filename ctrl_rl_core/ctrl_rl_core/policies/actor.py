@@ -89,7 +89,11 @@ class Actor:
         return self.low + 0.5 * (self.scaled_action(scaled) + 1.0) * (self.high - self.low)
 
     def save(self, path: Path | str) -> None:
-        """Write the policy atomically."""
+        """Write the policy atomically.
+
+        Raises:
+            PolicyError: A number of the network is not finite.
+        """
         tensors = {name: getattr(self, name) for name in _VECTORS}
         for index, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             tensors |= {f"weight_{index}": W, f"bias_{index}": b}
@@ -103,6 +107,8 @@ class Actor:
         if self.interface is not None:
             header["interface"] = self.interface.model_dump(exclude_defaults=True)
         plain = {name: np.ascontiguousarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}
+        if not all(np.isfinite(tensor).all() for tensor in plain.values()):
+            raise PolicyError("the network's numbers are not finite: its training has diverged")
         atomic_write(Path(path), encode_tensors(plain, _HEADER_KEY, header))
 
     @classmethod

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from ctrl_rl_core.io import TYPES, encode_tensors, read_tensors
 from numpy.typing import NDArray
 
 from ctrl_rl_core import atomic_write
+from ctrl_rl_learning.errors import LearningError
 
 _HEADER_KEY = "checkpoint"
 
@@ -35,10 +37,21 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def state_arrays(networks: Mapping[str, torch.nn.Module], optimizers: Mapping[str, torch.optim.Optimizer]) -> Arrays:
-    """Return the state of networks and optimisers as arrays; optimiser names must not contain dots."""
+    """Return the state of networks and optimisers as arrays; optimiser names must not contain dots.
+
+    Raises:
+        LearningError: A weight is not finite.
+    """
     arrays: Arrays = {}
     for prefix, network in networks.items():
-        arrays |= {f"{prefix}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
+        weights = {f"{prefix}.{name}": tensor.cpu().numpy() for name, tensor in network.state_dict().items()}
+        for name, weight in weights.items():
+            if weight.dtype.kind == "f" and not np.isfinite(weight).all():
+                raise LearningError(
+                    f"training has diverged: weights {name} are not finite. The last checkpoint is still good; check "
+                    "rewards and observations, or lower the learning rate"
+                )
+        arrays |= weights
     for prefix, optimizer in optimizers.items():
         for index, state in optimizer.state_dict()["state"].items():
             arrays |= {f"{prefix}.{index}.{key}": tensor.cpu().numpy() for key, tensor in state.items()}
