@@ -146,5 +146,5 @@ def test_weights_that_are_not_finite_are_told_and_not_kept() -> None:
     assert set(state_arrays({"actor": layer}, {})) == {"actor.weight", "actor.bias"}
     with torch.no_grad():
         layer.bias.fill_(float("nan"))
-    with pytest.raises(LearningError, match="diverged: weights actor.bias are not finite"):
+    with pytest.raises(LearningError, match=r"diverged: weights actor\.bias are not finite"):
         state_arrays({"actor": layer}, {})
