@@ -6,16 +6,19 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ctrl_rl_core import OccupancyMap
-from ctrl_rl_navigation.cars.arcs import border_of, make_arcs
+from ctrl_rl_navigation.cars.arcs import allow_arcs, longest_of, make_arcs
 from ctrl_rl_navigation.cars.car_limits import CarLimits
 from ctrl_rl_navigation.cars.car_value import CarValue
-from ctrl_rl_navigation.cars.footprint import distances, fit_all, footprint_of, mark_blocked
-from ctrl_rl_navigation.cars.wavefront import FINAL, HEAD, Queue, grown, make_queue, seed, spread
+from ctrl_rl_navigation.cars.footprint import distances, fit_all, footprint_of
+from ctrl_rl_navigation.cars.room import fill_room
+from ctrl_rl_navigation.cars.sweeps import FAR, Spread
+from ctrl_rl_navigation.cars.tiles import sharing, tiling_of
 from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.values.map_solver import CancelledError, Report
 
@@ -28,12 +31,24 @@ _LARGEST_CELL = 0.1
 """Length of a cell up to which a map's cells are joined for a large car [m]."""
 _CELLS_PER_RADIUS = 12.0
 """Minimum turning radius [cells]; finer cells hardly change the times."""
-_CHUNK = 200_000
-"""Number of states between checks whether the result is still needed."""
+_WINDOW = 8.0
+"""Way of the car within which tiles are swept together [cells]."""
 _BEYOND, _SHARE_BEYOND = 5.0, 0.1
 """Time that is solved beyond that of the car's own pose [s], and as a share of that: the car may stray from its way."""
 _SEED_CELLS = 0.75
 """Radius of the smallest goal disc [cells]: less may lie between the cells."""
+
+
+class FreeSpace(NamedTuple):
+    """Where a car touches nothing, by state.
+
+    Attributes:
+        room: Distance from its rectangle to the nearest obstacle, up to what matters (headings, rows, columns) [m].
+        allowed: A bit for each arc that keeps the margin (2, headings, rows, columns).
+    """
+
+    room: NDArray[np.float32]
+    allowed: NDArray[np.uint16]
 
 
 class CarSolver:
@@ -44,13 +59,12 @@ class CarSolver:
         limits: Size and limits of the car.
         clearance: Distances from the map's cells to its obstacles (rows, columns) [m].
         grid: Map of the solver's cells, in its resolution.
-        free: Number of free states, of one gear.
     """
 
     def __init__(
         self, map_: OccupancyMap, limits: CarLimits, headings: int = HEADINGS, cell: float | None = None
     ) -> None:
-        """Precompute what all goals share: in which poses the car collides, and its arcs.
+        """Precompute what all goals share: the arcs, and which of them collide.
 
         Args:
             map_: Map with the obstacles; unknown cells are no place to drive.
@@ -64,25 +78,29 @@ class CarSolver:
         self._joined = max(1, int(wanted / map_.resolution + 1e-6))
         self.grid = joined(map_, self._joined)
         radius = limits.turning_radius / self.grid.resolution
-        self._border = border_of(radius, headings)
-        height, width = self.grid.cells.shape
-        self._shape = (headings, height + 2 * self._border, width + 2 * self._border)
+        longest = longest_of(radius, headings)
+        self._tiling = tiling_of(self.grid.cells.shape, math.ceil(longest) + 2)
         self._speeds = (limits.speed, limits.reverse_speed)
-        self._arcs = make_arcs(radius, headings, self._speeds, self.grid.resolution, self._shape[1:])
+        self._arcs = make_arcs(radius, headings, self._speeds, self.grid.resolution)
         shift = 4.0 * math.sqrt(self.grid.resolution * limits.turning_radius)
         self._aside = shift / min(self._speeds) + 2.0 * limits.change_time
-        self._blocked, self.free = self._collisions(self.clearance)
+        # On an arc each point of the car moves at most this far.
+        self._reach = longest * self.grid.resolution * (1.0 + limits.radius / limits.turning_radius)
+        size = (headings, *self._tiling.shape)
+        self._space = FreeSpace(np.zeros(size, np.float32), np.zeros((2, *size), np.uint16))
+        self._fill(self._space, self.clearance, np.ones((self._tiling.rows, self._tiling.columns), np.bool_))
 
-    def _collisions(self, clearance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], int]:
-        """Return in which poses the car collides (headings, rows, columns), and the number of the others."""
+    def _fill(self, space: FreeSpace, clearance: NDArray[np.float32], tiles: NDArray[np.bool_]) -> None:
+        """Fill in the free space of marked tiles, by the clearance of the map's cells (rows, columns) [m]."""
         limits, resolution = self.limits, self.map.resolution
-        rectangle = footprint_of(limits.length, limits.width, limits.centre, limits.margin, resolution)
-        behind = 0.5 * limits.length - limits.centre
-        near = (min(0.5 * limits.width, behind) + limits.margin) / resolution
-        far = (limits.radius + math.sqrt(2.0) * limits.margin) / resolution
-        out = np.empty((self._headings, *self.grid.cells.shape), np.bool_)
-        field = distances(clearance, resolution)
-        return out, mark_blocked(field, rectangle, float(self._joined), 0.5 * (self._joined - 1), far, near, out)
+        rectangle = footprint_of(limits.length, limits.width, limits.centre, 0.0, resolution)
+        field, most = distances(clearance, resolution), (limits.margin + self._reach) / resolution
+        place = float(self._joined), 0.5 * (self._joined - 1), self._tiling.border
+        margin, reach = np.float32(limits.margin), np.float32(self._reach)
+        corners = self._tiling.corners(tiles)
+        with sharing() as share:
+            share(lambda part: fill_room(field, rectangle, *place, most, resolution, part, space.room), corners)
+            share(lambda part: allow_arcs(space.room, self._arcs, margin, reach, part, space.allowed), corners)
 
     def fits(self, poses: ArrayLike, margin: float | None = None) -> NDArray[np.bool_]:
         """Return whether the car stands free of obstacles at poses (..., 3) [m, m, rad].
@@ -128,81 +146,80 @@ class CarSolver:
             CancelledError: The value is no longer needed.
         """
         begin = time.monotonic()
-        blocked, free = self._blocked, self.free
+        space = self._space
         if obstacles is not None and len(obstacles):
-            blocked, free = self._with_obstacles(obstacles)
-        values = np.full((2, *self._shape), np.inf, np.float32)
-        border = self._border
-        values[:, :, border:-border, border:-border] = np.where(blocked, np.float32(np.inf), np.float32(-np.inf))
-        flat, queue = values.reshape(-1), self._queue()
-        seed(flat, queue, self._goal_states(goal, heading, radius, heading_tolerance, blocked))
-        inner = values[:, :, border:-border, border:-border]
-        known = (lambda: math.inf) if start is None else partial(self._time_at, inner, np.asarray(start, np.float64))
-        complete = self._run(flat, queue, 2 * free, report, wanted, known)
-        inner[inner < 0.0] = np.inf
+            space = self._with_obstacles(obstacles)
+        free = space.room >= np.float32(self.limits.margin)
+        change, grid = self.limits.change_time, self.grid
+        window = _WINDOW * grid.resolution / max(self._speeds)
+        spread = Spread(free, space.allowed, self._arcs, self._tiling, change, self._aside, window)
+        spread.seed(self._goal_states(goal, heading, radius, heading_tolerance, free))
+        known = (lambda: math.inf) if start is None else partial(self._time_at, spread, np.asarray(start, np.float64))
+        complete = self._run(spread, report, wanted, known)
+        inner = tuple(slice(self._tiling.border, self._tiling.border + size) for size in grid.cells.shape)
+        times = spread.values[:, :, *inner]
+        times[times > min(spread.final, 0.5 * float(FAR))] = np.inf
         seconds = time.monotonic() - begin
-        change = self.limits.change_time
-        radius_of_turns = self.limits.turning_radius
         return CarValue(
-            inner, self.grid, goal, heading, radius, seconds, radius_of_turns, self._speeds, change, complete
+            times,
+            space.room[:, *inner],
+            grid,
+            goal,
+            heading,
+            radius,
+            heading_tolerance,
+            seconds,
+            self.limits.turning_radius,
+            self._speeds,
+            change,
+            self.limits.margin,
+            complete,
         )
 
-    def _time_at(self, values: NDArray[np.float32], pose: Array) -> float:
+    def _time_at(self, spread: Spread, pose: Array) -> float:
         """Return the time of the state nearest to a pose (3,) in a solve [s]; inf as long as it is not final."""
         row, column = np.rint(self.grid.to_grid(pose[:2])).astype(int)
         heading = round((float(pose[2]) - self.grid.origin[2]) / (2.0 * math.pi) * self._headings) % self._headings
-        _, _, height, width = values.shape
+        height, width = self.grid.cells.shape
         if not (0 <= row < height and 0 <= column < width):
             return math.inf
-        times = values[:, heading, row, column]
-        return float(times[times >= 0.0].min(initial=math.inf))
-
-    def _queue(self) -> Queue:
-        times = self._arcs.times
-        return make_queue(0.5 * float(times.min()), float(times.max()) + self._aside + self.limits.change_time)
+        border = self._tiling.border
+        time = float(spread.values[:, heading, row + border, column + border].min())
+        return time if time <= spread.final else math.inf
 
     def _run(
-        self,
-        values: NDArray[np.float32],
-        queue: Queue,
-        total: int,
-        report: Report | None,
-        wanted: Callable[[], bool] | None,
-        known: Callable[[], float],
+        self, spread: Spread, report: Report | None, wanted: Callable[[], bool] | None, known: Callable[[], float]
     ) -> bool:
         """Spread the values; return whether all states have theirs, or False if the known time was enough."""
-        left, change, waiting = 1, self.limits.change_time, np.zeros(len(values), np.uint8)
-        aside = self._aside
-        while left:
-            left = spread(values, waiting, queue, self._arcs, self._shape, change, aside, _CHUNK)
-            if left < 0:
-                queue = grown(queue)
-            if wanted is not None and not wanted():
-                raise CancelledError
-            if report is not None:
-                report(min(1.0, float(queue.counts[FINAL]) / max(total, 1)))
-            if queue.counts[HEAD] * queue.width > (1.0 + _SHARE_BEYOND) * known() + _BEYOND:
-                return False
+        with sharing() as share:
+            while spread.advance(share):
+                if wanted is not None and not wanted():
+                    raise CancelledError
+                if report is not None:
+                    report(spread.reached)
+                if spread.final > (1.0 + _SHARE_BEYOND) * known() + _BEYOND:
+                    return False
         return True
 
-    def _with_obstacles(self, points: Array) -> tuple[NDArray[np.bool_], int]:
-        """Return collisions with additional obstacles (n, 2) [m], and the number of free states."""
+    def _with_obstacles(self, points: Array) -> FreeSpace:
+        """Return the free space with additional obstacles (n, 2) [m]."""
         rows, columns = self.map.world_to_cell(points)
         height, width = self.map.cells.shape
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        rows, columns = rows[inside], columns[inside]
         cells = self.map.cells.copy()
-        cells[rows[inside], columns[inside]] = 100
-        return self._collisions(OccupancyMap(cells, self.map.resolution, self.map.origin).clearance())
+        cells[rows, columns] = 100
+        clearance = OccupancyMap(cells, self.map.resolution, self.map.origin).clearance()
+        away = self.limits.radius + self.limits.margin + 2.0 * self._reach
+        touched = self._tiling.around(rows // self._joined, columns // self._joined, away / self.grid.resolution)
+        space = FreeSpace(self._space.room.copy(), self._space.allowed.copy())
+        self._fill(space, clearance, touched)
+        return space
 
     def _goal_states(
-        self,
-        goal: tuple[float, float],
-        heading: float | None,
-        radius: float,
-        heading_tolerance: float,
-        blocked: NDArray[np.bool_],
+        self, goal: tuple[float, float], heading: float | None, radius: float, tolerance: float, free: NDArray[np.bool_]
     ) -> NDArray[np.int64]:
-        """Return the flat indices of the states at the goal, of both gears.
+        """Return heading, row and column of the states at the goal (n, 3).
 
         Raises:
             NavigationError: The goal is off the map, or the car does not fit there.
@@ -213,20 +230,19 @@ class CarSolver:
         if not (-0.5 <= row < height - 0.5 and -0.5 <= column < width - 0.5):
             raise NavigationError(f"the goal {where} lies off the map")
         reach = max(radius / self.grid.resolution, _SEED_CELLS)
-        rows, columns = np.mgrid[0:height, 0:width]
-        near = np.hypot(rows - row, columns - column) <= reach
+        border = self._tiling.border
+        places = np.argwhere(np.hypot(*np.ogrid[-row : height - row, -column : width - column]) <= reach) + border
         step = 2.0 * math.pi / self._headings
         angles = np.arange(self._headings) * step + self.grid.origin[2] - (heading or 0.0)
         away = np.abs(np.remainder(angles + math.pi, 2.0 * math.pi) - math.pi)
-        facing = np.full(self._headings, True) if heading is None else away <= max(heading_tolerance, 0.5 * step)
-        free = ~blocked & facing[:, None, None] & near
-        if not free.any():
+        facing = np.full(self._headings, True) if heading is None else away <= max(tolerance, 0.5 * step)
+        headings = np.flatnonzero(facing)
+        states = np.column_stack((np.repeat(headings, len(places)), np.tile(places, (len(headings), 1))))
+        states = states[free[tuple(states.T)]]
+        if not len(states):
             turned = "" if heading is None else f" at {math.degrees(heading):.0f} degrees"
             raise NavigationError(f"the car does not fit at the goal {where}{turned}: it is too near to an obstacle")
-        places = np.argwhere(free)
-        _, rows_there, columns_there = self._shape
-        first = (places[:, 0] * rows_there + places[:, 1] + self._border) * columns_there + places[:, 2] + self._border
-        return np.concatenate((first, first + math.prod(self._shape))).astype(np.int64)
+        return states
 
 
 def cell_for(limits: CarLimits) -> float:

@@ -21,6 +21,8 @@ _STEP = 1.0
 """Length of an arc of a path [cells]."""
 _NEAR = 2
 """Distance at which a pose without a time looks for one [cells]: errors of the pose may put the car into a margin."""
+_KEPT = 0.7
+"""Fraction of the margin that a path keeps, since its poses lie between those of the grid."""
 _STALL = 8
 """Number of arcs of a path without a lower value after which it ends."""
 
@@ -54,6 +56,22 @@ def time_at(times: Any, gear: int, heading: float, row: float, column: float) ->
     return total / weight if weight > 1e-6 else np.inf
 
 
+@njit(inline="always")
+def _room_at(room: Any, heading: float, row: float, column: float) -> float:
+    """Interpolate the room around the car at a pose: heading in steps, row and column in cells [m]; 0 off the grid."""
+    headings, height, width = room.shape
+    below, low, left = math.floor(heading), math.floor(row), math.floor(column)
+    if not (0 <= low < height - 1 and 0 <= left < width - 1):
+        return 0.0
+    p, u, v, total = heading - below, row - low, column - left, 0.0
+    for k in range(2):
+        plane = room[(int(below) + k) % headings]
+        first = (1.0 - v) * plane[low, left] + v * plane[low, left + 1]
+        second = (1.0 - v) * plane[low + 1, left] + v * plane[low + 1, left + 1]
+        total += (p if k else 1.0 - p) * ((1.0 - u) * first + u * second)
+    return total
+
+
 @cached_njit
 def _values(times: Times, places: Array, out: Array) -> None:
     """Fill in the lesser time of the two gears (n,) at places (n, 3): heading in steps, row and column in cells."""
@@ -63,15 +81,19 @@ def _values(times: Times, places: Array, out: Array) -> None:
 
 
 @cached_njit
-def _descend(times: Times, place: Array, radius: float, seconds: Array, change: float, out: Array) -> int:
+def _descend(
+    times: Times, room: Times, place: Array, radius: float, seconds: Array, change: float, least_room: float, out: Array
+) -> int:
     """Fill in poses (n, 3) of the best arcs from a place (3,), in steps and cells, and return their number.
 
     Args:
         times: Times of the states.
+        room: Room around the car in the states [m].
         place: Heading, row and column.
         radius: Radius of the tightest turn [cells].
         seconds: Duration of an arc forward and in reverse (2,) [s].
         change: Time of a change between the gears [s].
+        least_room: Room that is kept, unless there is less already [m].
         out: Poses of the path.
     """
     headings = times.shape[1]
@@ -87,6 +109,7 @@ def _descend(times: Times, place: Array, radius: float, seconds: Array, change: 
         best = min(best, here)
         if here <= 0.0 or stalled > _STALL:
             break
+        enough = min(least_room, _room_at(room, heading, row, column))
         least, to_heading, to_row, to_column, to_gear = np.inf, heading, row, column, gear
         for other in range(2):
             way = _STEP if other == 0 else -_STEP
@@ -96,7 +119,7 @@ def _descend(times: Times, place: Array, radius: float, seconds: Array, change: 
                 h = (heading + 2.0 * half / step) % headings
                 r, c = row + chord * math.sin(middle), column + chord * math.cos(middle)
                 cost = seconds[other] + time_at(times, other, h, r, c) + (change if other != gear else 0.0)
-                if cost < least:
+                if cost < least and _room_at(room, h, r, c) >= enough:
                     least, to_heading, to_row, to_column, to_gear = cost, h, r, c, other
         if least == np.inf:
             break
@@ -129,26 +152,32 @@ class CarValue:
     Attributes:
         all_times: Times by gear (0 forward, 1 reverse), heading, row and column (2, H, R, C) [s]; inf where the goal is
             unreachable or the car collides.
+        room: Distance from the car to the nearest obstacle by heading, row and column (H, R, C) [m], up to a limit.
         map: Map of the grid, in its resolution.
         goal: Position of the goal in the map frame (2,) [m].
         heading: Heading at the goal [rad]; None for any.
         radius: Distance from the goal at which the time may be zero [m].
+        heading_tolerance: Difference from the goal's heading at which it may be [rad].
         seconds: Duration of the solve [s].
         turning_radius: Radius of the tightest turn [m].
         speeds: Forward and reverse speed [m/s].
         change: Time of a change between forward and reverse [s].
+        margin: Distance that the car keeps to obstacles [m].
         complete: Whether all states that lead to the goal have a time; else those far beyond the car have none.
     """
 
     all_times: Times
+    room: Times
     map: OccupancyMap
     goal: tuple[float, float]
     heading: float | None
     radius: float
+    heading_tolerance: float
     seconds: float
     turning_radius: float
     speeds: tuple[float, float]
     change: float
+    margin: float
     complete: bool = True
 
     state_names = ("x", "y", "theta")
@@ -224,7 +253,8 @@ class CarValue:
         cell = self.map.resolution
         seconds = np.array([_STEP * cell / speed for speed in self.speeds])
         out = np.empty((longest, 3))
-        count = _descend(self.all_times, place, self.turning_radius / cell, seconds, self.change, out)
+        radius, room = self.turning_radius / cell, _KEPT * self.margin
+        count = _descend(self.all_times, self.room, place, radius, seconds, self.change, room, out)
         positions = self.map.cell_to_world(out[:count, 1], out[:count, 2])
         return np.column_stack((positions, out[:count, 0] * self.place.step + self.map.origin[2]))
 

@@ -35,7 +35,7 @@ class Footprint(NamedTuple):
 
 
 @njit(inline="always")
-def _distance(field: Any, row: float, column: float) -> float:
+def distance(field: Any, row: float, column: float) -> float:
     """Interpolate the distance to the nearest obstacle [cells]; 0 outside the field."""
     height, width = field.shape
     if not (0.0 <= row < height - 1.0 and 0.0 <= column < width - 1.0):
@@ -68,14 +68,14 @@ def _part_fits(field: Any, row: float, column: float, c: float, s: float, half_x
                 along += share * half_x if quarter & 1 else -share * half_x
                 aside += share * half_y if quarter & 2 else -share * half_y
             x, y = share * half_x, share * half_y
-            distance = _distance(field, row + s * along + c * aside, column + c * along - s * aside)
+            away = distance(field, row + s * along + c * aside, column + c * along - s * aside)
             across = math.hypot(x, y)
-            if distance >= across:
+            if away >= across:
                 break
-            if distance < min(x, y):
+            if away < min(x, y):
                 return False
             if level == 0 or max(x, y) < _LEAST:
-                if distance < 0.7 * across:
+                if away < 0.7 * across:
                     return False
                 break
             level -= 1
@@ -89,7 +89,7 @@ def fits(field: Any, row: float, column: float, theta: float, footprint: Any) ->
     c, s = math.cos(theta), math.sin(theta)
     centre, half_length, half_width = footprint
     middle_row, middle_column = row + s * centre, column + c * centre
-    if _distance(field, middle_row, middle_column) >= math.hypot(half_length, half_width):
+    if distance(field, middle_row, middle_column) >= math.hypot(half_length, half_width):
         return True
     parts = max(1, int(half_length / half_width + 0.5))
     half = (half_length / parts, half_width)
@@ -98,33 +98,6 @@ def fits(field: Any, row: float, column: float, theta: float, footprint: Any) ->
         if not _part_fits(field, middle_row + s * along, middle_column + c * along, c, s, half[0], half[1]):
             return False
     return True
-
-
-@cached_njit
-def mark_blocked(field: Any, footprint: Any, scale: float, offset: float, far: float, near: float, out: Any) -> int:
-    """Mark the poses of a grid in which the rectangle touches something, and return the number of free ones.
-
-    Args:
-        field: Distances from the map's cells to the nearest obstacle (rows, columns) [cells].
-        footprint: The rectangle, in the map's cells.
-        scale: Length of a cell of the grid in cells of the map.
-        offset: Position of the grid's first cell on the map [cells].
-        far: Distance of the rear axle to obstacles at which the rectangle fits with any heading [cells].
-        near: Distance below which it fits with none [cells].
-        out: Set to true where it touches something (headings, rows, columns).
-    """
-    headings, height, width = out.shape
-    free = 0
-    for i in range(height):
-        for j in range(width):
-            row, column = offset + scale * i, offset + scale * j
-            distance = _distance(field, row, column)
-            for k in range(headings):
-                theta = 2.0 * math.pi * k / headings
-                blocked = distance < near or (distance < far and not fits(field, row, column, theta, footprint))
-                out[k, i, j] = blocked
-                free += not blocked
-    return free
 
 
 @cached_njit

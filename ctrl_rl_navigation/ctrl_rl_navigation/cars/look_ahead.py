@@ -19,6 +19,7 @@ from ctrl_rl_navigation.cars.roll_out import (
     SPEED,
     SPEED_AFTER,
     STOPS,
+    Arrival,
     Grid,
     Rules,
     choose,
@@ -33,9 +34,11 @@ _SPEEDS = (1.0, 0.5, 0.2)
 """Candidate speeds as fractions of the maximum, forward and in reverse."""
 _CURVATURES, _AFTER = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0), (-1.0, -0.4, 0.0, 0.4, 1.0)
 """Candidate curvatures as fractions of the maximum, at first and afterwards."""
+_LAST = (-1.0, 0.0, 1.0)
+"""Those of candidates that stop."""
 _HOLDS = (0.12, 0.3, 0.6)
 """Fractions of the roll-out for which a candidate holds its speed and curvature."""
-_STOPS = (0.1, 0.2, 0.3, 0.45, 0.65, 0.9, 1.2, 1.5)
+_STOPS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.95, 1.1, 1.3, 1.5)
 """Times after which a candidate brakes to a stop at the goal [s]."""
 _FAVOUR, _SHORTEST = 0.15, 0.3
 """Amount by which another plan must be better than the rest of the last one [s], so that a car does not dither where it
@@ -47,6 +50,8 @@ _NEAR_GOAL = 3.0
 _MARGINS = ((1.0, 1.0), (0.6, 1.0), (0.3, 0.5), (0.1, 0.2), (-0.1, 0.2))
 """Fractions of the margin that a roll-out keeps, tried in turn, and of the speed that it may have. The value keeps all
 of the margin, up to its cells; the last ones lead a car away from what it almost touches, by the errors of a scan."""
+_WITHIN = 1.4
+"""Distance from the goal at which a candidate may stop, as a multiple of that at which the value is zero."""
 _ECHO_CELL = 0.05
 """Maximum length of a cell of the obstacles of a scan [m]."""
 _CELLS_PER_WIDTH = 12.0
@@ -84,7 +89,6 @@ class CarLookAhead:
             _share(STEP, limits.steering_lag),
             STEP,
             round(LONGEST / STEP),
-            0.0,
         )
         tightest = 1.0 / limits.turning_radius
         both = [sign * share * full for sign, full in zip((1.0, -1.0), speeds, strict=True) for share in _SPEEDS]
@@ -95,8 +99,10 @@ class CarLookAhead:
         ]
         stops = [
             (speed, first * tightest, 0.5 * hold, speed, after * tightest, hold, HORIZON)
-            for speed, first, hold, after in product(both, _CURVATURES, _STOPS, _AFTER)
+            for speed, first, hold, after in product(both, _CURVATURES, _STOPS, _LAST)
         ]
+        stand = [(0.0, first * tightest, HORIZON, 0.0, first * tightest, math.inf, HORIZON) for first in _CURVATURES]
+        self._standing = np.array(stand)
         self._plan: Array | None = None
         self._going, self._stopping = np.array(goes_on), np.array(stops)
         self.reach = limits.radius + limits.speed * (HORIZON + limits.speed / limits.braking) + limits.margin
@@ -138,21 +144,32 @@ class CarLookAhead:
         half = 0.5 * (self._cells - 1) * self._cell
         places = (_seen_from(pose, *map_place), Grid(-half, -half, 0.0, self._cell))
         fields, motion = (field, self._echo_field(points)), (float(command[0]), self.speed, self.steering)
-        rules = self._rules._replace(near=place.cell / self._limits.speed)
+        arrival = _arrival(value, pose)
         tried = self._going
         if float(value.value(pose)) < _NEAR_GOAL:
             tried = np.concatenate((tried, self._stopping))
         rest, favour = self._rest(), 0.0
         if rest is not None:
             tried, favour = np.concatenate((rest[None], tried)), _FAVOUR
-        for share, pace in _MARGINS:
-            shapes = (self._shape(share, map_place[3]), self._shape(share, self._cell))
-            slow = np.abs(tried[:, [SPEED, SPEED_AFTER]]).max(axis=1) <= pace * self._limits.speed
-            candidates, kept = tried[slow], favour if slow[0] else 0.0
-            best, cost = choose(value.all_times, grid, fields, places, shapes, rules, motion, candidates, kept)
-            if best >= 0:
-                self._plan = candidates[best]
-                return self._command(candidates[best], motion[0]), cost
+        for candidates, kept in ((tried, favour), (self._standing, 0.0)):
+            for share, pace in _MARGINS:
+                shapes = (self._shape(share, map_place[3]), self._shape(share, self._cell))
+                slow = np.abs(candidates[:, [SPEED, SPEED_AFTER]]).max(axis=1) <= pace * self._limits.speed
+                best, cost = choose(
+                    value.all_times,
+                    grid,
+                    arrival,
+                    fields,
+                    places,
+                    shapes,
+                    self._rules,
+                    motion,
+                    candidates[slow],
+                    kept if slow[0] else 0.0,
+                )
+                if best >= 0:
+                    self._plan = candidates[slow][best]
+                    return self._command(self._plan, motion[0]), cost
         self._plan = None
         return self.slowed(motion[0]), math.inf
 
@@ -202,6 +219,13 @@ def _seen_from(pose: Array, x: float, y: float, yaw: float, cell: float) -> Grid
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = x - float(pose[0]), y - float(pose[1])
     return Grid(c * dx + s * dy, c * dy - s * dx, yaw - float(pose[2]), cell)
+
+
+def _arrival(value: CarValue, pose: Array) -> Arrival:
+    """Return a value's goal in the frame of a pose (3,)."""
+    there = _seen_from(pose, *value.goal, 0.0 if value.heading is None else value.heading, 1.0)
+    tolerance = math.pi if value.heading is None else _WITHIN * value.heading_tolerance
+    return Arrival(there.x, there.y, there.yaw, _WITHIN * value.radius, tolerance)
 
 
 def _share(time: float, lag: float) -> float:

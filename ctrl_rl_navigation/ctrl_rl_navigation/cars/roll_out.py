@@ -2,8 +2,8 @@
 
 A candidate holds a speed and a curvature for some time, and then others. All last equally long, so a candidate that
 waits gains nothing; only those that brake to a stop at the goal are shorter. A candidate counts if the car's rectangle
-touches nothing all along. Its cost is its duration and the time to reach from its end, with what a speed below the full
-one costs there.
+touches nothing all along, nor while it brakes to a stop from its end: so there is always a plan to go on with. Its cost
+is its duration and the time to reach from its end, with what a speed below the full one costs there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Rules(NamedTuple):
     """Parameters of a roll-out in SI units.
 
     Speeds are forward and in reverse; shares are those by which speed and steering angle approach their commands in a
-    step; `near` is the time to reach of a stop.
+    step.
     """
 
     speeds: tuple[float, float]
@@ -45,7 +45,6 @@ class Rules(NamedTuple):
     steering_share: float
     step: float
     most: int
-    near: float
 
 
 class Grid(NamedTuple):
@@ -58,6 +57,24 @@ class Grid(NamedTuple):
     y: float
     yaw: float
     cell: float
+
+
+class Arrival(NamedTuple):
+    """The goal in the frame of the robot at the start of a roll-out.
+
+    Attributes:
+        x: Position [m].
+        y: Position [m].
+        heading: Heading [rad].
+        radius: Distance from the position within which the car has arrived [m].
+        tolerance: Difference from the heading within which it has [rad].
+    """
+
+    x: float
+    y: float
+    heading: float
+    radius: float
+    tolerance: float
 
 
 @njit(inline="always")
@@ -79,6 +96,8 @@ def _time_left(times: Any, grid: Any, gear: int, x: float, y: float, theta: floa
 @njit(inline="always")
 def _terminal(times: Any, grid: Any, rules: Any, x: float, y: float, theta: float, v: float) -> float:
     """Return the time to reach from the end of a roll-out [s]."""
+    if abs(v) < _STILL:
+        return min(_time_left(times, grid, 0, x, y, theta), _time_left(times, grid, 1, x, y, theta))
     gear = 0 if v > 0.0 else 1
     full = rules.speeds[gear]
     left = _time_left(times, grid, gear, x, y, theta)
@@ -91,48 +110,80 @@ def _terminal(times: Any, grid: Any, rules: Any, x: float, y: float, theta: floa
 
 
 @njit(inline="always")
+def _next(rules: Any, state: Any, acts: bool, wanted: float, angle: float) -> Any:
+    """Return x, y, heading, speed, speed asked for, and steering angle after a step.
+
+    The speed [m/s] and the steering angle [rad] that a candidate wants count from when it acts.
+    """
+    x, y, theta, v, asked, steering = state
+    if acts:
+        slower = wanted * asked < 0.0 or abs(wanted) < abs(asked)
+        most = (rules.braking if slower else rules.acceleration) * rules.step
+        asked = min(max(wanted, asked - most), asked + most)
+        turn = rules.steering_rate * rules.step
+        steering += min(max(rules.steering_share * (angle - steering), -turn), turn)
+    v += rules.speed_share * (asked - v)
+    omega = v * math.tan(steering) / rules.wheelbase
+    middle = theta + 0.5 * omega * rules.step
+    x += v * rules.step * math.cos(middle)
+    y += v * rules.step * math.sin(middle)
+    return x, y, theta + omega * rules.step, v, asked, steering
+
+
+@njit(inline="always")
+def _is_free(fields: Any, places: Any, shapes: Any, state: Any) -> bool:
+    for layer in range(2):
+        row, column = _place(places[layer], state[0], state[1])
+        if not fits(fields[layer], row, column, state[2] - places[layer].yaw, shapes[layer]):
+            return False
+    return True
+
+
+@njit(inline="always")
+def _can_stop(fields: Any, places: Any, shapes: Any, rules: Any, state: Any) -> bool:
+    """Return whether the car touches nothing while it brakes to a stop with its steering as it is."""
+    for _ in range(rules.most):
+        if abs(state[3]) < _STILL:
+            break
+        state = _next(rules, state, True, 0.0, state[5])
+        if not _is_free(fields, places, shapes, state):
+            return False
+    return True
+
+
+@njit(inline="always")
 def _cost(
-    times: Any, grid: Any, fields: Any, places: Any, shapes: Any, rules: Any, motion: Any, candidate: Any
-) -> float:
-    """Return the cost of a candidate [s]; inf if the car touches something."""
+    times: Any, grid: Any, arrival: Any, fields: Any, places: Any, shapes: Any, rules: Any, motion: Any, candidate: Any
+) -> tuple[float, Any]:
+    """Return the cost of a candidate [s], inf if the car touches something, and the state at its end."""
     asked, v, steering = motion
-    x = y = theta = 0.0
+    state = (0.0, 0.0, 0.0, v, asked, steering)
     stop = candidate[STOPS]
     elapsed = 0.0
     for number in range(rules.most if stop < math.inf else round(candidate[END] / rules.step)):
         elapsed = number * rules.step
         first, over = elapsed < candidate[HOLD] - 1e-9, elapsed >= stop - 1e-9
-        if over and abs(v) < _STILL:
+        if over and abs(state[3]) < _STILL:
             break
-        if elapsed >= rules.delay - 1e-9:
-            wanted = 0.0 if over else candidate[SPEED] if first else candidate[SPEED_AFTER]
-            slower = wanted * asked < 0.0 or abs(wanted) < abs(asked)
-            most = (rules.braking if slower else rules.acceleration) * rules.step
-            asked = min(max(wanted, asked - most), asked + most)
-            angle = math.atan(rules.wheelbase * (candidate[CURVATURE] if first else candidate[CURVATURE_AFTER]))
-            turn = rules.steering_rate * rules.step
-            steering += min(max(rules.steering_share * (angle - steering), -turn), turn)
-        v += rules.speed_share * (asked - v)
-        omega = v * math.tan(steering) / rules.wheelbase
-        middle = theta + 0.5 * omega * rules.step
-        x += v * rules.step * math.cos(middle)
-        y += v * rules.step * math.sin(middle)
-        theta += omega * rules.step
+        wanted = 0.0 if over else candidate[SPEED] if first else candidate[SPEED_AFTER]
+        angle = math.atan(rules.wheelbase * (candidate[CURVATURE] if first else candidate[CURVATURE_AFTER]))
+        state = _next(rules, state, elapsed >= rules.delay - 1e-9, wanted, angle)
         elapsed += rules.step
-        for layer in range(2):
-            row, column = _place(places[layer], x, y)
-            if not fits(fields[layer], row, column, theta - places[layer].yaw, shapes[layer]):
-                return math.inf
+        if not _is_free(fields, places, shapes, state):
+            return math.inf, state
+    x, y, theta, v, _, _ = state
     if stop == math.inf:
-        return elapsed + _terminal(times, grid, rules, x, y, theta, v)
-    left = min(_time_left(times, grid, 0, x, y, theta), _time_left(times, grid, 1, x, y, theta))
-    return elapsed + left if left <= rules.near else math.inf
+        return elapsed + _terminal(times, grid, rules, x, y, theta, v), state
+    there = math.hypot(x - arrival.x, y - arrival.y) <= arrival.radius
+    turned = (theta - arrival.heading + math.pi) % (2.0 * math.pi) - math.pi
+    return elapsed if there and abs(turned) <= arrival.tolerance else math.inf, state
 
 
 @cached_njit
 def choose(
     times: Any,
     grid: Any,
+    arrival: Any,
     fields: tuple[Any, Any],
     places: Any,
     shapes: Any,
@@ -146,6 +197,7 @@ def choose(
     Args:
         times: Times by gear, heading, row and column (2, H, R, C) [s].
         grid: Where their grid lies.
+        arrival: Where candidates may stop.
         fields: Distances to the obstacles of the map, and to those of the last scan (rows, columns) [cells].
         places: Where these lie.
         shapes: The car's rectangle in the cells of each.
@@ -157,9 +209,9 @@ def choose(
     best, least = -1, math.inf
     for number in range(len(candidates)):
         candidate = candidates[number]
-        cost = _cost(times, grid, fields, places, shapes, rules, motion, candidate)
+        cost, end = _cost(times, grid, arrival, fields, places, shapes, rules, motion, candidate)
         turned = abs(math.atan(rules.wheelbase * candidate[CURVATURE]) - motion[2])
         cost += _CHANGE_COST * turned / rules.steering_angle - (favour if number == 0 else 0.0)
-        if cost < least:
+        if cost < least and _can_stop(fields, places, shapes, rules, end):
             best, least = number, cost
     return best, least
