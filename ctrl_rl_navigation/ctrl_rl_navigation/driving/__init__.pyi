@@ -3,9 +3,11 @@ from .decision import NavigatorOptions as NavigatorOptions
 from .decision import NavigatorState as NavigatorState
 from .explorer import Explorer as Explorer
 from .explorer import ExplorerOptions as ExplorerOptions
+from .journey import Journey as Journey
 from .look_ahead import LookAhead as LookAhead
 from .navigator import Navigator as Navigator
 from .navigator import warm_up as warm_up
 from .navigator_driver import NavigatorDriver as NavigatorDriver
+from .path_legs import legs_along as legs_along
 from .roll_out import choose as choose
 from .scan_map import ScanMap as ScanMap
