@@ -44,6 +44,9 @@ def allowed(profile: ET.Element, right: str) -> list[str]:
         for name in (entry.text or "" for entry in block if block.get(right) == "ALLOW"):
             own = name.replace("~", f"{space}/{profile.attrib['node']}")
             out.append(own if own.startswith(("/", "*")) else f"{space}/{own}")
+    parts = {"publish": ("feedback", "status"), "reply": ("send_goal", "cancel_goal", "get_result")}.get(right, ())
+    for name in (entry.text for block in profile if block.get("execute") == "ALLOW" for entry in block):
+        out += [f"{space}/{name}/_action/{part}" for part in parts]
     return out
 
 

@@ -22,6 +22,7 @@ ARGUMENTS = {
     "timeout": ("0.5", "age of the last command that stops the robot [s]"),
     "robot": ("turtlebot3_burger", "name of the robot, or the path of its .yaml file"),
     "max_speed": ("", "largest speed [m/s]; empty for the robot's"),
+    "actions": ("all", "actions of Nav2 to serve: navigate, follow_path (under Nav2's planner), all or none"),
     "filter": ("true", "whether the safety filter stands between navigator and watchdog"),
     "mover_speed": ("0.0", "largest speed of people and other robots around, for the filter [m/s]"),
     "use_map": ("false", "whether the topic map tells the filter what never moves"),
@@ -87,6 +88,7 @@ def generate_launch_description() -> LaunchDescription:
                     {
                         "enable_stamped_cmd_vel": stamped,
                         "pose": ParameterValue(given["pose"], value_type=str),
+                        "actions": ParameterValue(given["actions"], value_type=str),
                         "robot": robot,
                         "max_speed": ParameterValue(fastest, value_type=float),
                         **clock,
