@@ -53,6 +53,7 @@ from .policies.actor import Actor as Actor
 from .policies.errors import PolicyError as PolicyError
 from .policies.manifest import PolicyManifest as PolicyManifest
 from .policies.policy import Policy as Policy
+from .policies.policy import PolicyDescription as PolicyDescription
 from .policies.policy import PolicyDriver as PolicyDriver
 from .policies.policy import PolicyKind as PolicyKind
 from .policies.policy import find_policy as find_policy

@@ -15,6 +15,7 @@ from .options.options import PolicyQuery as PolicyQuery
 from .options.options import Simulation as Simulation
 from .options.options import SimulationStep as SimulationStep
 from .policies.joint_policy import JointPolicy as JointPolicy
+from .policies.network_description import describe_policy as describe_policy
 from .policies.policy_file import OptionPolicy as OptionPolicy
 from .policies.policy_file import policy_file as policy_file
 from .policies.policy_file import shipped_policies as shipped_policies

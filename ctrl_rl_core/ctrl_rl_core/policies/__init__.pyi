@@ -1,8 +1,12 @@
 from .actor_policy import policy_of as policy_of
 from .manifest import ScanPart as ScanPart
 from .observation import ObservationBuilder as ObservationBuilder
+from .onnx_check import OBSERVATIONS as OBSERVATIONS
+from .onnx_check import TOLERANCE as TOLERANCE
+from .onnx_check import largest_difference as largest_difference
 from .path_node_driver import PATH_PARAMETERS as PATH_PARAMETERS
 from .path_node_driver import follow_paths as follow_paths
+from .policy import describe_policy as describe_policy
 from .policy import policy_digest as policy_digest
 from .policy import shipped_policies as shipped_policies
 from .pose_input import POSE_PARAMETERS as POSE_PARAMETERS

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ctrl_rl_core.networks.layers import Clip, Dense, Layer, Network, Normalise, Pointwise, Scale
 from ctrl_rl_core.policies.actor import Actor
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
-from ctrl_rl_core.policies.policy import NetworkPolicy, PolicyKind
+from ctrl_rl_core.policies.policy import NetworkPolicy, PolicyDescription, PolicyKind
 from ctrl_rl_core.policies.task_interface import interface_of
 from ctrl_rl_core.tasks.task import load_navigation_task, task_digest, task_names
 
@@ -31,7 +33,7 @@ def policy_of(actor: Actor) -> NetworkPolicy:
     Raises:
         PolicyError: The actor does not describe its observation.
     """
-    manifest = actor.interface or _known_interface(actor)
+    manifest = _interface(actor)
 
     def network(observation: NDArray[np.float32]) -> NDArray[np.float32]:
         return actor.scaled_action((observation - actor.middle) / actor.unit)
@@ -40,14 +42,46 @@ def policy_of(actor: Actor) -> NetworkPolicy:
     return NetworkPolicy(manifest, network, ", ".join(told) or "an actor")
 
 
+def describe_actor(path: Path) -> PolicyDescription:
+    """Describe the policy of an actor file for export.
+
+    Raises:
+        PolicyError: As for `load_actor_policy`.
+    """
+    actor = Actor.load(path)
+    policy = policy_of(actor)
+    return PolicyDescription(
+        network=Network(len(actor.middle), (), {"action": tuple(_layers(actor))}),
+        outputs=lambda sensors: {"action": policy.command(sensors)},
+        training=actor.manifest,
+        manifest=_interface(actor),
+    )
+
+
+def _layers(actor: Actor) -> Iterator[Layer]:
+    """Yield the layers of an actor, from the observation to actions in [-1, 1]."""
+    yield Scale(actor.middle, actor.unit)
+    kind = actor.activation.removeprefix("normalized_")
+    for index, (W, b) in enumerate(zip(actor.weights, actor.biases, strict=True)):
+        yield Dense(W, b)
+        if index == len(actor.weights) - 1:
+            break
+        if kind != actor.activation:
+            yield Normalise(np.ones(len(b), np.float32), np.zeros(len(b), np.float32))
+        yield Pointwise("tanh" if kind == "tanh" else "relu")
+    yield Pointwise("tanh") if actor.squashed else Clip(-1.0, 1.0)
+
+
 def shipped_actors() -> dict[str, Path]:
     """Return the actors shipped with this package, by name."""
     folder = Path(str(files("ctrl_rl_core"))) / "policies" / "pretrained"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
-def _known_interface(actor: Actor) -> PolicyManifest:
-    """Return the interface of an actor that does not include one: that of its task, if the task is known."""
+def _interface(actor: Actor) -> PolicyManifest:
+    """Return the interface of an actor; if its file does not include one, that of its task, if the task is known."""
+    if actor.interface is not None:
+        return actor.interface
     name = str(actor.manifest.get("task"))
     if name in task_names():
         task = load_navigation_task(name)
@@ -56,4 +90,4 @@ def _known_interface(actor: Actor) -> PolicyManifest:
     raise PolicyError("does not describe its observation: write it again with `export --task FILE` of its package")
 
 
-KIND = PolicyKind(load_actor_policy, shipped_actors)
+KIND = PolicyKind(load_actor_policy, shipped_actors, describe_actor)

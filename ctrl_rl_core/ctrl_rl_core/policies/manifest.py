@@ -118,6 +118,7 @@ class ScanPart(_Part):
         count: Number of bearings.
         first: First bearing [rad].
         step: Angle between bearings [rad].
+        at: The bearings [rad], in order around the robot, where they are not evenly spaced: in place of first and step.
         half_width: Half the width of the sector whose beams count for a bearing [rad]; 0 for the nearest beam only.
         reduce: Reduction over several beams: the minimum range or the median.
         low: Minimum range; closer echoes are set to it [m].
@@ -128,6 +129,7 @@ class ScanPart(_Part):
     count: Annotated[int, Field(ge=1, le=1000)]
     first: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
     step: Annotated[float, Field(ge=-7.0, le=7.0)] = 0.0
+    at: Annotated[list[Annotated[float, Field(ge=-10.0, le=10.0)]], Field(max_length=1000)] | None = None
     half_width: Annotated[float, Field(ge=0.0, le=3.2)] = 0.0
     reduce: Literal["least", "median"] = "least"
     low: Annotated[float, Field(ge=0.0, le=1e4)] = 0.0
@@ -141,7 +143,15 @@ class ScanPart(_Part):
     @property
     def bearings(self) -> Array:
         """The bearings (count,) [rad]."""
+        if self.at is not None:
+            return np.array(self.at)
         return np.asarray(self.first + self.step * np.arange(self.count), dtype=np.float64)
+
+    @model_validator(mode="after")
+    def _described_once(self) -> ScanPart:
+        if self.at is not None and (len(self.at) != self.count or self.first or self.step):
+            raise ValueError(f"at has {len(self.at)} bearings: must be {self.count}, without first and step")
+        return self
 
 
 Part = Annotated[NamedPart | ScanPart, Field(discriminator="source")]
@@ -203,6 +213,8 @@ class PolicyManifest(Schema):
         rest: Idle command (2,): 0, or the hover thrusts of a quadrotor.
         observation: Parts of the observation, in order.
         action: Mapping from network outputs to commands.
+        largest_distance: Stops the robot when the model's second output is larger: the observation's distance from
+            training, relative to the border of what training saw. ONNX models only; None for no such output.
         about: Description of the policy for people.
     """
 
@@ -211,6 +223,7 @@ class PolicyManifest(Schema):
     rest: _Pair = Field(default_factory=lambda: [0.0, 0.0])
     observation: Annotated[list[Part], Field(min_length=1, max_length=100)]
     action: ActionSpec
+    largest_distance: Positive | None = None
     about: Annotated[str, Field(max_length=1000)] = ""
 
     @model_validator(mode="after")

@@ -36,14 +36,14 @@ def open_model(onnxruntime: Any, content: bytes) -> Any:
     return session
 
 
-def run_model(session: Any, observation: Any) -> Any:
-    """Return the first output of a model for an observation (n,).
+def run_model(session: Any, observation: Any) -> list[Any]:
+    """Return the outputs (1, ...) of a model for an observation (n,).
 
     Raises:
         PolicyError: The model fails.
     """
     try:
-        return np.asarray(session.run(None, {session.get_inputs()[0].name: observation[None]})[0])
+        return [np.asarray(each) for each in session.run(None, {session.get_inputs()[0].name: observation[None]})]
     except Exception as error:  # any of onnxruntime's error types
         raise PolicyError(f"the model fails: {one_line(error, 200)}") from None
 

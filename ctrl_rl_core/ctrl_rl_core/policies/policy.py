@@ -24,6 +24,7 @@ from ctrl_rl_core.driving.drive import Driver
 from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.io.checked_tensors import kind_of
 from ctrl_rl_core.io.file_checks import one_line, raise_as, read_bytes, short_path
+from ctrl_rl_core.networks.layers import Network
 from ctrl_rl_core.plugins import find_plugins, load_plugin
 from ctrl_rl_core.policies.errors import PolicyError
 from ctrl_rl_core.policies.manifest import PolicyManifest
@@ -71,16 +72,38 @@ class PolicyDriver:
             return self._policy.rest
 
 
+class PolicyDescription(NamedTuple):
+    """A policy's computation and origin, for export to other formats.
+
+    Attributes:
+        network: The computation, from the observation to outputs.
+        outputs: The policy's own result in place of `network`, by head. With a manifest, a function from sensor
+            readings whose "action" is the command (2,); without one, a function from an observation (n,). NaN where
+            a value is left out of a comparison.
+        training: Origin of the policy, as in its file's header: task, method, seed; JSON values.
+        manifest: Observation and commands on a robot; None if no node can drive by the network.
+        remarks: What network and manifest leave out, in sentences.
+    """
+
+    network: Network
+    outputs: Callable[[Any], Mapping[str, NDArray[Any]]]
+    training: Mapping[str, Any]
+    manifest: PolicyManifest | None = None
+    remarks: tuple[str, ...] = ()
+
+
 class PolicyKind(NamedTuple):
     """A kind of policy file.
 
     Attributes:
         load: Loads the policy of a file, or raises CtrlRlError with a one-line message.
         shipped: Returns the files shipped with the package, by name.
+        describe: Describes the policy of a file, or raises CtrlRlError; None if this kind cannot be exported.
     """
 
     load: Callable[[Path], Policy]
     shipped: Callable[[], Mapping[str, Path]] = dict
+    describe: Callable[[Path], PolicyDescription] | None = None
 
 
 class NetworkPolicy:
@@ -148,14 +171,22 @@ def load_policy(path: Path) -> Policy:
         PolicyError: The file is missing or not a policy, or a package needed to read it is not installed.
     """
     with raise_as(PolicyError, path):
-        ending, entries = path.suffix.removeprefix(".").lower(), find_plugins(GROUP)
-        keys = (ending,) if ending in entries else kind_of(path)
-        entry = next((entries[key] for key in keys if key in entries), None)
-        if entry is None:
-            raise PolicyError(f"holds no policy that a node can drive by: there are readers for {', '.join(entries)}")
-        policy = _kind(entry).load(path)
+        policy = _kind_of_file(path).load(path)
         _try(policy)
     return policy
+
+
+def describe_policy(path: Path) -> PolicyDescription:
+    """Describe a policy of any kind for export.
+
+    Raises:
+        PolicyError: As for `load_policy`, or this kind or one of its layers cannot be exported.
+    """
+    with raise_as(PolicyError, path):
+        kind = _kind_of_file(path)
+        if kind.describe is None:
+            raise PolicyError("is of a kind that does not describe its network: it cannot be exported")
+        return kind.describe(path)
 
 
 def policy_digest(path: Path) -> str:
@@ -180,6 +211,16 @@ def _try(policy: Policy) -> None:
     command = policy.command(sensors)
     if command.shape != (2,) or not np.isfinite(command).all():
         raise PolicyError(f"its command in front of a wall at 1 m is {one_line(command.tolist(), 60)}: not two numbers")
+
+
+def _kind_of_file(path: Path) -> PolicyKind:
+    """Return the kind of a file, from its ending or its header."""
+    ending, entries = path.suffix.removeprefix(".").lower(), find_plugins(GROUP)
+    keys = (ending,) if ending in entries else kind_of(path)
+    entry = next((entries[key] for key in keys if key in entries), None)
+    if entry is None:
+        raise PolicyError(f"holds no policy that a node can drive by: there are readers for {', '.join(entries)}")
+    return _kind(entry)
 
 
 def _kind(entry: EntryPoint) -> PolicyKind:

@@ -12,10 +12,8 @@ import numpy as np
 from ctrl_rl_core import PolicyKind, Sensors
 from koopman_lqr_controller.arrays import Array
 from koopman_lqr_controller.errors import KoopmanError
+from koopman_lqr_controller.policies.network import LARGEST_DISTANCE, describe_policy
 from koopman_lqr_controller.policies.policy_file import KoopmanPolicy, load_policy, shipped_policies
-
-LARGEST_DISTANCE = 1.3
-"""Distance from the training latents that stops the robot, relative to that of 99.9 % of them."""
 
 
 class DrivingPolicy:
@@ -53,4 +51,4 @@ def load_driving_policy(path: Path) -> DrivingPolicy:
     return DrivingPolicy(load_policy(path))
 
 
-KIND = PolicyKind(load_driving_policy, shipped_policies)
+KIND = PolicyKind(load_driving_policy, shipped_policies, describe_policy)

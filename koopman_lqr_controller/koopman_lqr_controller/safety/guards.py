@@ -68,6 +68,11 @@ class LatentDistribution:
         spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2 * variance[-1]))
         object.__setattr__(self, "_whitening", np.ascontiguousarray((directions / spread).T))
 
+    @property
+    def whitening(self) -> Array:
+        """Matrix (n, n) that turns a deviation from the mean into one whose length is the Mahalanobis distance."""
+        return self._whitening
+
     def distances(self, z: Array) -> Array:
         """Return Mahalanobis distances (N,) of latents (N, n) from the mean."""
         return np.linalg.norm((z - self.mean) @ self._whitening.T, axis=-1)

@@ -1,0 +1,5 @@
+"""Networks in neutral form, layer by layer, and their ONNX models."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,14 @@
+from .layers import Clip as Clip
+from .layers import Dense as Dense
+from .layers import Layer as Layer
+from .layers import Length as Length
+from .layers import LogSoftmax as LogSoftmax
+from .layers import Nearness as Nearness
+from .layers import Network as Network
+from .layers import Normalise as Normalise
+from .layers import Pointwise as Pointwise
+from .layers import Prepend as Prepend
+from .layers import Scale as Scale
+from .layers import Table as Table
+from .onnx_writer import NetworkError as NetworkError
+from .onnx_writer import to_onnx as to_onnx
