@@ -117,24 +117,37 @@ def test_points_of_a_scan_leave_out_what_was_not_seen():
     np.testing.assert_allclose(points, [(1.0, 2.5), (3.0, 1.5)], atol=1e-9)
 
 
-def choice(running, legal):
+def choice(running, legal, places=((0.0, 0.0),) * 3):
     running = np.array(running)
-    return PolicyQuery(np.zeros(12), running < 0, running, np.array(legal, bool))
+    observation = np.array([(*place, 0.0, 0.0) for place in places], np.float32).ravel()
+    return PolicyQuery(observation, running < 0, running, np.array(legal, bool))
 
 
-def test_robots_spread_over_what_nobody_else_runs():
-    chooses = spread_policy(TEAM.coordinated, np.random.default_rng(0))
-    fetch = [1, 1, 1, 0, 0, 0]
-    options, log_probability = chooses(choice([SHELF, -1, -1], [fetch, fetch, fetch]))
-    assert options.tolist() == [SHELF, OTHER_SHELF, WAIT]
+FETCH = [1, 1, 1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("running", "places", "expected"),
+    [
+        ([-1, -1, WAIT], [(-1.0, -0.2), (-1.5, 0.0), (0.0, 0.0)], [SHELF, OTHER_SHELF, WAIT]),  # the least sum
+        ([SHELF, -1, WAIT], [(0.0, 0.0), (-1.5, 0.9), (0.0, 0.0)], [SHELF, OTHER_SHELF, WAIT]),  # the nearest is taken
+        ([SHELF, OTHER_SHELF, -1], [(0.0, 0.0)] * 3, [SHELF, OTHER_SHELF, OTHER_SHELF]),  # both are: it queues
+    ],
+)
+def test_robots_spread_by_travel_and_queueing_times(running, places, expected):
+    options, log_probability = spread_policy(TEAM)(choice(running, [FETCH] * 3, places))
+    assert options.tolist() == expected
     assert log_probability == 0.0
 
 
 def test_many_may_go_home_at_a_time():
-    assert TEAM.shared == ("wait", "home")
-    chooses = spread_policy(TEAM.coordinated, np.random.default_rng(0), TEAM.shared)
-    options, _ = chooses(choice([HOME, -1, -1], [[1, 0, 0, 0, 0, 1]] * 3))
+    options, _ = spread_policy(TEAM)(choice([HOME, -1, -1], [[1, 0, 0, 0, 0, 1]] * 3))
     assert options.tolist() == [HOME, HOME, HOME]
+
+
+def test_a_robot_that_may_only_wait_waits():
+    options, _ = spread_policy(TEAM)(choice([-1, -1, -1], [[1, 0, 0, 0, 0, 0], FETCH, FETCH]))
+    assert options[0] == WAIT
 
 
 def test_any_legal_option_is_as_likely():

@@ -48,6 +48,15 @@ def test_whatever_makes_sense_brings_every_parcel(scripted):
         assert episode.figures["makespan"] == pytest.approx(episode.steps * TEAM.time_step)
 
 
+def test_the_scripted_policy_is_a_baseline_worth_beating():
+    """It is well ahead of random options; going to any free station, as it did before, was not."""
+    environment = make_environment("delivery_team")
+    choosers = scripted_policy(environment), RandomPolicy(0)
+    scripted, random = (summary(list(play_episodes(environment, each, range(5)))) for each in choosers)
+    assert scripted["makespan"] < 0.95 * random["makespan"]
+    assert scripted["return"] > random["return"] + 2.0
+
+
 def test_robots_stay_in_the_room_and_out_of_the_obstacle():
     environment = OptionEnvironment(make_simulation(TEAM), film=True)
     list(play_episodes(environment, RandomPolicy(3), [3]))

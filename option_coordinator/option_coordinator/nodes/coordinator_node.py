@@ -40,6 +40,7 @@ from option_coordinator.protocol.team import CoordinatorTimeouts, RobotSpec
 from option_coordinator.protocol.work_memory import WorkMemory
 from option_coordinator.scripted.policy_queries import SCRIPTED, spread_policy, uniform_policy
 from option_coordinator.teams.loading import load_team
+from option_coordinator.teams.team_file import TeamFile
 
 _Take = Callable[[Any, ClockReading], Answers]
 _HOUSEKEEPING_S = 0.02
@@ -77,7 +78,7 @@ class OptionCoordinator(SuiteNode):
         self._began = False
         self._held_up = LATE * timeouts.lease
         chooses, digest = self._chooser()
-        begin, team = ClockReading(0.0, 0.0, 0.0), TeamId(self._team_name(), self._team_digest)
+        begin, team = ClockReading(0.0, 0.0, 0.0), TeamId(self._team_name(), self._team.digest if self._team else "")
         memory = WorkMemory(Path(self.settings["memory"]) if self.settings["memory"] else None, team.name)
         self._coordinator = Coordinator(
             self._robots, chooses, digest, begin, timeouts, discount=discount, team=team, memory=memory
@@ -142,11 +143,10 @@ class OptionCoordinator(SuiteNode):
         if settings["lost_after"] < settings["lease"]:
             raise ParameterError("parameter 'lost_after' is less than 'lease': a robot is suspect before it is lost")
         step, discount = settings["step_length"], settings["discount"]
-        self._shared: tuple[str, ...] = ()
-        self._team_digest = ""
+        self._team: TeamFile | None = None
         if settings["team"]:
             team = load_team(settings["team"])
-            self._robots, self._shared, self._team_digest = team.coordinated, team.shared, team.digest
+            self._team, self._robots = team, team.coordinated
             step, discount = team.time_step, team.discount
         elif settings["policy"] in SCRIPTED:
             raise ParameterError(
@@ -171,7 +171,9 @@ class OptionCoordinator(SuiteNode):
         if name == "uniform":
             return self._timed(uniform_policy(generator)), ""
         if name == "spread":
-            return self._timed(spread_policy(self._robots, generator, self._shared)), ""
+            if self._team is None:
+                raise OptionError("policy 'spread' needs a team file, with the places of its stations: give 'team'")
+            return self._timed(spread_policy(self._team)), ""
         policy = OptionPolicy.load_for(name, (robot.agent for robot in self._robots))
         promised = self.settings["policy_digest"]
         if promised and policy.digest != promised:

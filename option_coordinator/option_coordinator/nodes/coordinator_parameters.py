@@ -18,7 +18,7 @@ PARAMETERS = (
     Parameter(
         "policy",
         "spread",
-        "Learned policy's name or file; 'spread': a legal option whose station is free; 'uniform': any legal option.",
+        "Learned policy's name or file; 'spread': least travel and queueing time; 'uniform': any legal option.",
         live=True,
         kind="path",
     ),

@@ -108,10 +108,10 @@ class GreedyFiller:
 
 
 class SpreadTeam:
-    """The coordinator's scripted policy for a delivery team: go to a station that no other robot is heading for."""
+    """The coordinator's scripted policy for a delivery team: the assignment with the least travel and queueing time."""
 
-    def __init__(self, team: TeamFile, seed: int = 0) -> None:
-        self._chooses = spread_policy(team.coordinated, np.random.default_rng(seed), team.shared)
+    def __init__(self, team: TeamFile) -> None:
+        self._chooses = spread_policy(team)
 
     def __call__(self, decision: Decision) -> dict[str, int]:
         """Return an option for each ready agent."""

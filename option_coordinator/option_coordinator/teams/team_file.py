@@ -140,11 +140,6 @@ class TeamFile(TaskHeader):
         return tuple(self.options)
 
     @property
-    def shared(self) -> tuple[str, ...]:
-        """Options that any number of robots may run simultaneously, because they lead to no station."""
-        return tuple(name for name, option in self.options.items() if option.station is None)
-
-    @property
     def training_samples(self) -> int:
         """Number of low-level steps of training."""
         return self.learning.training_samples
