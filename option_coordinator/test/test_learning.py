@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+import yaml
 from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, train
 from ctrl_rl_learning.torch import ReplayBuffer
 from hypothesis import given, settings
@@ -13,10 +14,12 @@ from hypothesis import strategies as st
 from option_coordinator.data.trajectory import advantages
 from option_coordinator.environments.roll_out import JointDecisionPolicy, RollOut
 from option_coordinator.options.options import Scene
+from option_coordinator.training.cli.learning import train as train_command
 from option_coordinator.training.experiments.evaluation import evaluate, summary
-from option_coordinator.training.experiments.methods import METHODS
+from option_coordinator.training.experiments.methods import METHODS, usual_methods
 from option_coordinator.training.experiments.runs import OptionRun, option_runs
 from option_coordinator.training.heads.head_parts import ValueNetwork
+from option_coordinator.training.heads.heads import make_head
 from option_coordinator.training.learners.learner import decision_batch
 from option_coordinator.training.learners.mac_dqn import EpsilonGreedy, MacDqn
 from option_coordinator.training.learners.mappo import Mappo, MappoSettings
@@ -27,6 +30,7 @@ from option_coordinator import (
     Agent,
     OptionEnvironment,
     OptionEpisode,
+    OptionError,
     OptionPolicy,
     OptionTrajectory,
     SimulationStep,
@@ -34,6 +38,7 @@ from option_coordinator import (
     make_environment,
     play_episodes,
     scripted_policy,
+    team_file,
 )
 
 SHORT = {"iterations": 2, "samples": 200, "final_evaluations": 1}
@@ -363,3 +368,16 @@ def test_parts_of_a_trajectory_are_what_the_document_says():
     shapes |= {"next_running": (agents,), "next_present": (agents,)}
     for field in fields(trajectory):
         assert getattr(trajectory, field.name).shape == (steps, *shapes.get(field.name, ()))
+
+
+@pytest.mark.fault
+def test_a_team_too_large_for_a_joint_table_learns_the_mixture_and_refuses_the_table(tmp_path, capsys):
+    assert usual_methods((6, 6, 6)) == ("async", "sync_wait")
+    assert usual_methods((6,) * 7) == ("async_mixture",)
+    with pytest.raises(OptionError, match=r"a joint table of 7 robots has 2\.8e\+05 cells, more than 50000: use the"):
+        make_head("table", [Agent(f"r{i}", tuple("abcdef"), 4) for i in range(7)])
+    team = yaml.safe_load(team_file("delivery_team").read_text())
+    homes = {f"robot_{i}": {"home": f"({-1.6 + 0.53 * i}, -1.2) m"} for i in range(7)}
+    (tmp_path / "seven.yaml").write_text(yaml.safe_dump(team | {"name": "seven", "robots": homes}, sort_keys=False))
+    assert train_command(["--task", str(tmp_path / "seven.yaml"), "--methods", "async", "--seeds", "1"]) == 1
+    assert "--methods async_mixture" in capsys.readouterr().err

@@ -7,7 +7,8 @@ choices = policy.choose(decision, generator)
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -55,6 +56,21 @@ HEADS: Mapping[str, Callable[[Tensors, tuple[int, ...]], JointPolicy]] = {
     "autoregressive": Autoregressive,
 }
 """Kinds of joint policy by name."""
+MOST_CELLS = 50_000
+"""Maximum size of a joint table; a minibatch of larger ones takes hundreds of MB."""
+
+
+def check_size(head: str, counts: Sequence[int]) -> None:
+    """Raise if a kind of joint policy is too large for agents with these numbers of options.
+
+    Raises:
+        OptionError: A joint table would have too many cells.
+    """
+    if head == "table" and math.prod(counts) > MOST_CELLS:
+        raise OptionError(
+            f"a joint table of {len(counts)} robots has {math.prod(counts):.3g} cells, more than {MOST_CELLS}: use the "
+            "mixture of products instead, --methods async_mixture or --head mixture"
+        )
 
 
 def shipped_policies() -> dict[str, Path]:

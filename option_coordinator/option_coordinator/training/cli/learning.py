@@ -26,11 +26,10 @@ from option_coordinator.cli import ReplayOptions, prepare_replay
 from option_coordinator.data.bag_trajectory import recordings
 from option_coordinator.environments.roll_out import play_episodes
 from option_coordinator.environments.tasks import load_option_task, make_environment
-from option_coordinator.policies.policy_file import HEADS, OptionPolicy, policy_file
-from option_coordinator.training.experiments.methods import METHODS
+from option_coordinator.policies.policy_file import HEADS, OptionPolicy, check_size, policy_file
+from option_coordinator.training.experiments.methods import METHODS, usual_methods
 
 ITERATIONS = 25
-_MAIN = ("async", "sync_wait")
 _METHODS = (
     "methods:\n"
     + "\n".join(f"  {name:<22} {method.label}" for name, method in METHODS.items())
@@ -56,8 +55,8 @@ class Train(ExperimentOptions):
     """Policy to start from, with --bags."""
     head: Annotated[str, one_of(HEADS)] = "table"
     """Head of a policy learnt from bags alone."""
-    methods: Annotated[tuple[str, ...], some_of([*METHODS, "all"])] = _MAIN
-    """Methods to learn with."""
+    methods: Annotated[tuple[str, ...], some_of([*METHODS, "all"])] = ()
+    """Methods to learn with; by default async and sync_wait, or async_mixture where the joint table is too large."""
     sight: Literal["features", "image"] = "features"
     """Observation of Water Filling's robots."""
     drop: float = 0.0
@@ -72,7 +71,8 @@ def _train(options: Train) -> int:
     if options.task is None or options.start is not None:
         raise CommandError("give a --task to learn in, or --bags to learn from; --from goes with --bags")
     task = load_option_task(options.task)  # rejects an unknown method before torch is imported and workers start
-    longest = make_environment(options.task).simulation.step_limit
+    simulation = make_environment(options.task).simulation
+    longest = simulation.step_limit
     least = 2 * longest * ITERATIONS  # so that an episode ends in every iteration, regardless of earlier overshoot
     samples = task.training_samples if options.samples is None else options.samples
     if samples < least:
@@ -87,12 +87,14 @@ def _train(options: Train) -> int:
     from option_coordinator.training.experiments.runs import option_runs
 
     every = [name for name, method in METHODS.items() if task.kind in method.kinds]
-    methods = every if "all" in options.methods else options.methods or _MAIN
+    usual = usual_methods([len(agent.options) for agent in simulation.agents])
+    methods = every if "all" in options.methods else options.methods or usual
     if wrong := set(methods) - set(every):
         raise CommandError(f"task '{task.name}' has no method {', '.join(sorted(wrong))}: there are {', '.join(every)}")
     runs = option_runs(options.task, methods, options.seeds, options.sight, options.drop)
     for run in runs:
-        run.environment()  # raises if the task does not support images, options or drop-outs
+        agents = run.environment().agents  # raises if the task does not support images, options or drop-outs
+        check_size(run.method.head, [len(agent.options) for agent in agents])
     how = RunOptions(options.folder, ITERATIONS, samples // ITERATIONS, final_evaluations=options.evaluations)
     train_and_collect(options, task, runs, "options", collect, how, LABELS)
     return 0

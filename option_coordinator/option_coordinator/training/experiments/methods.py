@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
 from option_coordinator.environments.option_env import Synchronisation
 from option_coordinator.environments.tasks import Level
+from option_coordinator.policies.policy_file import MOST_CELLS
 
 _OF_THE_THESIS = ("tool_delivery", "water_filling")
 """Kinds of tasks in the thesis."""
@@ -56,3 +58,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     }
 )
 """All methods by name."""
+
+
+def usual_methods(counts: Sequence[int]) -> tuple[str, ...]:
+    """Return the methods to learn with if none are named, for agents with these numbers of options."""
+    return ("async", "sync_wait") if math.prod(counts) <= MOST_CELLS else ("async_mixture",)

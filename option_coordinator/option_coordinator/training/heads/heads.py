@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from option_coordinator.options.options import NONE, Agent
+from option_coordinator.policies.policy_file import check_size
 from option_coordinator.training.heads.head_parts import (
     HEAD_GAIN,
     HIDDEN,
@@ -206,8 +207,12 @@ def make_head(kind: str, agents: Sequence[Agent], partial: bool = False, presenc
     """Create an untrained joint policy of a kind, optionally with `presence` in its observations.
 
     The weights are drawn from torch's global generator.
+
+    Raises:
+        OptionError: The kind is too large for these agents, see `check_size`.
     """
     counts = [len(agent.options) for agent in agents]
+    check_size(kind, counts)
     sizes = [agent.observation_size for agent in agents]
     if partial:
         return PartialHeads([_HEADS[kind](size, counts) for size in sizes], sizes)
