@@ -34,7 +34,7 @@ class Options:
     """Seed of the first goal and path; the others follow it."""
     drivers: tuple[str, ...] = tuple(DRIVERS)
     """Names of the drivers."""
-    speed: float = 3.0
+    speed: float = 2.0
     """Real-time factor of the simulator."""
     output: Path | None = None
     """JSON file for the results; rows of other methods are kept."""

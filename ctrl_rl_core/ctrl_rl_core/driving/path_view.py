@@ -81,7 +81,8 @@ class PathView:
         c, s = math.cos(pose[2]), math.sin(pose[2])
         near = (self._along > self.place - _BEHIND) & (self._along < self.place + _BEYOND)
         discs = (self._points[near] - pose[:2]) @ np.array(((c, -s), (s, c))) - (lidar_x, 0.0)
-        discs = np.vstack((discs, (0.0, 0.0)))  # a robot beside the corridor sees a bulge
+        if self.beside > self._half_width - _STEP:  # a robot beside the corridor sees a bulge
+            discs = np.vstack((discs, (0.0, 0.0)))
         bearings = scan.angle_min + scan.angle_increment * np.arange(scan.beams)
         along = np.outer(np.cos(bearings), discs[:, 0]) + np.outer(np.sin(bearings), discs[:, 1])
         chord = self._half_width**2 - ((discs**2).sum(axis=1) - along**2)
