@@ -20,10 +20,10 @@ from .driving.driver_node import DRIVER_PARAMETERS as DRIVER_PARAMETERS
 from .driving.driver_node import MAX_DISTANCE as MAX_DISTANCE
 from .driving.driver_node import DriverNode as DriverNode
 from .driving.driver_node import NodeDriver as NodeDriver
-from .driving.driver_node import RobotNode as RobotNode
 from .driving.lidar_robot import LIDAR_PARAMETERS as LIDAR_PARAMETERS
 from .driving.lidar_robot import SCAN_PARAMETERS as SCAN_PARAMETERS
 from .driving.lidar_robot import LidarRobot as LidarRobot
+from .driving.robot_node import RobotNode as RobotNode
 from .errors import CtrlRlError as CtrlRlError
 from .geometry.motion import Motion as Motion
 from .geometry.shapes import Arc as Arc

@@ -24,7 +24,7 @@ from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.ros.node import SENSOR
 from ctrl_rl_core.ros.running import run_node
 from ctrl_rl_core.driving.commander import VELOCITY_PARAMETERS, Commander, VelocityError
-from ctrl_rl_core.driving.driver_node import RobotNode
+from ctrl_rl_core import RobotNode
 from nav_msgs.msg import Odometry
 
 

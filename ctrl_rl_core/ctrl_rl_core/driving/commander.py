@@ -36,6 +36,7 @@ from ctrl_rl_core.ros.parameters import Parameter
 VELOCITY_PARAMETERS = (
     Parameter("enable_stamped_cmd_vel", True, "Publish cmd_vel as TwistStamped (Jazzy) instead of Twist (Humble)."),
     Parameter("base_frame", "", "Frame of the commands; empty for the child frame of the odometry."),
+    Parameter("managed", False, "Let a lifecycle manager activate the node; the robot moves only while it is active."),
     Parameter("dry_run", False, "Compute and log commands, but send nothing on cmd_vel.", live=True),
     Parameter(
         "wall_timeout",
@@ -45,6 +46,7 @@ VELOCITY_PARAMETERS = (
         3600.0,
     ),
 )
+_INACTIVE = "the node is inactive: its lifecycle manager must activate it"
 _SOME_BASE = "base_link"
 """Frame of the commands until odometry provides one."""
 _LAST_WORD = Duration(seconds=0.3)
@@ -182,6 +184,9 @@ class Commander:
         if self.node.faults.failing:
             self.halt(f"callback failed: {self.node.faults.last}", stamp)
             return self.output.rest
+        if not self.node.is_active:
+            self._say(_INACTIVE)
+            return self.output.rest
         rival = "" if self.settings["dry_run"] else self.rival()
         if rival and bool((command != self.output.rest).any()):
             self.halt(rival, stamp)
@@ -229,6 +234,8 @@ class Commander:
         """Report whether commands are sent, and the names of other publishers."""
         dry = "dry run, nothing is sent: " if self.settings["dry_run"] else ""
         figures: dict[str, object] = {**self.counts, "other publishers": ", ".join(self._look_for_rivals())}
+        if not self.node.is_active:
+            return ok(_INACTIVE, **figures)
         if self._rivals:
             figures["problem"] = self.problem
             return warn(f"{dry}{self._rivalry()}", **figures)
@@ -279,6 +286,8 @@ class Commander:
         return float((self.clock.now() - then).nanoseconds) * 1e-9
 
     def _send(self, command: NDArray[np.float64], stamp: Stamp | None) -> None:
+        if not self.node.is_active:
+            return
         self.moving = bool((command != self.output.rest).any())
         sent = self.output.send(command, self.node.get_clock().now().to_msg() if stamp is None else stamp)
         if self._others is not None:

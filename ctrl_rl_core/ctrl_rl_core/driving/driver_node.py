@@ -23,11 +23,12 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 
 from ctrl_rl_core.driving.command_output import ThrustOutput
-from ctrl_rl_core.driving.commander import Commander, VelocityError
+from ctrl_rl_core.driving.commander import VelocityError
 from ctrl_rl_core.driving.drive import Driver, Filter
 from ctrl_rl_core.driving.lidar_robot import LIDAR_PARAMETERS, LidarRobot
+from ctrl_rl_core.driving.robot_node import RobotNode
 from ctrl_rl_core.errors import CtrlRlError
-from ctrl_rl_core.ros.node import RESULT, Status, SuiteNode, seconds
+from ctrl_rl_core.ros.node import RESULT, Status, seconds
 from ctrl_rl_core.ros.parameters import Parameter
 from ctrl_rl_core.sensing.scan import ScanGeometry, Sensors
 from ctrl_rl_core.tasks.outcome import Outcome
@@ -54,37 +55,6 @@ ENDED = "the drive is over: "
 _LONGEST_STEP_S = 1.0
 _NOISE, _LEAP = 0.02, 1.0
 """Position change below which motion may be noise, and above which the odometry origin has jumped [m]."""
-
-
-class RobotNode(SuiteNode):
-    """A node with one robot, which stops when the node fails, is suspended or ends.
-
-    Attributes:
-        robot: The robot; created in the subclass's constructor.
-    """
-
-    SHARED_MEMORY = False
-    robot: Commander
-
-    def on_callback_error(self, _error: Exception) -> None:
-        """Stop the robot until every failed callback has succeeded again."""
-        self.robot.fail()
-
-    def on_parameter_changed(self, name: str) -> None:
-        """Apply a changed robot parameter."""
-        self.robot.use_parameter(name)
-
-    def status(self) -> Status:
-        """Report whether commands are sent."""
-        return self.robot.status()
-
-    def stop(self) -> None:
-        """Stop the robot."""
-        self.robot.stop()
-
-    def on_suspend(self) -> None:
-        """Stop the robot, as in `stop`."""
-        self.robot.stop()
 
 
 class NodeDriver(Driver[Sensors]):

@@ -144,13 +144,20 @@ class GoalServer:
         )
         node.goal_servers.append(self)
 
+    def abort(self, reason: str) -> None:
+        """Abort the goals that are left."""
+        for goal in self._goals.values():
+            goal.abort(reason)
+
     def destroy(self) -> None:
         """Abort the goals that are left, and take the server away; a node that ends does this after its `stop`."""
-        for goal in self._goals.values():
-            goal.abort("the node ends")
+        self.abort("the node ends")
         self._server.destroy()
 
     def _on_request(self, _request: Any) -> GoalResponse:
+        if not self._node.is_active:
+            self._node.get_logger().warning(f"{self._name}: a goal is rejected: the node is inactive")
+            return GoalResponse.REJECT
         if self._server.is_full:
             self._node.get_logger().warning(
                 f"{self._name}: a goal is rejected: {_MOST_GOALS} came within {_KEEP_S} s", throttle_duration_sec=5.0

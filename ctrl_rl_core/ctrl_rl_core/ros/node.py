@@ -97,6 +97,11 @@ class SuiteNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    @property
+    def is_active(self) -> bool:
+        """Whether the node may act: always, unless a lifecycle manager holds it."""
+        return True
+
     def status(self) -> Status:
         """Return the status for `diagnostics`; override it."""
         return ok("running")

@@ -36,6 +36,7 @@ from ctrl_rl_msgs.msg import NavigatorStatus
 from ctrl_rl_msgs.srv import QueryValues
 from ctrl_rl_navigation.driving.decision import NavigatorState
 from ctrl_rl_navigation.driving.navigator_driver import NavigatorDriver
+from ctrl_rl_navigation.errors import NavigationError
 from ctrl_rl_navigation.maps import load_map
 from ctrl_rl_navigation.nodes.messages import goal_from, path_message, slice_message, status_message
 from ctrl_rl_navigation.nodes.navigators import make_navigator
@@ -98,6 +99,10 @@ class NavigatorNode(RobotNode):
         self._actions = self._serve_actions()
         if value["actions"] != "follow_path":  # last: goals arrive from now on
             self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
+
+    def forget(self) -> None:
+        """Drop the goal."""
+        self._navigator.cancel()
 
     def _serve_actions(self) -> NavigatorActions | None:
         """Return the action servers; None without any, and where ROS has no nav2_msgs."""
@@ -176,6 +181,8 @@ class NavigatorNode(RobotNode):
 
     def _on_goal(self, message: PoseStamped) -> None:
         try:
+            if not self.is_active:
+                raise NavigationError("the node is inactive")
             frame = self._frame(message.header.frame_id.lstrip("/"))
             goal = goal_from(message, frame, self.settings["goal_heading_tolerance"] < ANY_HEADING)
         except CtrlRlError as error:
