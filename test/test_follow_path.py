@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
-from ctrl_rl_navigation.cli.simulation import TASK_NAME, task_content
+from ctrl_rl_navigation.cli import TASK_NAME, task_content
 from nav2_client import ABORTED, CANCELED, SUCCEEDED, Nav2Client, path_through
 from nav_msgs.msg import Odometry
 

@@ -12,10 +12,10 @@ from ctrl_rl_core.driving import PathDriver
 from ctrl_rl_core.sensing import echoes
 from ctrl_rl_navigation.driving import Journey, Navigator, NavigatorDriver, NavigatorOptions, legs_along
 from ctrl_rl_navigation.robot import limits_of
-from ctrl_rl_trials.barn.dynamic_window import DynamicWindow, DynamicWindowOptions
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap, PolicyDriver, Sensors, find_policy, find_robot, load_policy
+from ctrl_rl_trials import DynamicWindow, DynamicWindowOptions
 from nav_actions.paths import ROBOT, PathTrial
 
 Array = NDArray[np.float64]

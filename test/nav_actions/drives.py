@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from ctrl_rl_navigation.cli import Errors, task_content
-from ctrl_rl_navigation.cli.simulation import LocalisedRobot
+from ctrl_rl_navigation.cli import Errors, LocalisedRobot, task_content
 from ctrl_rl_safety.filter import SensorFilter
 from numpy.typing import NDArray
 

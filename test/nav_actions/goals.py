@@ -15,8 +15,7 @@ import numpy as np
 import rclpy
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_navigation.cli import task_content
-from ctrl_rl_navigation.cli.simulation import TASK_NAME
+from ctrl_rl_navigation.cli import TASK_NAME, task_content
 from ctrl_rl_navigation.maps import map_file
 from ctrl_rl_navigation.robot import limits_of
 from nav2_client import ABORTED, CANCELED, SUCCEEDED, Nav2Client, path_through, pose_at
