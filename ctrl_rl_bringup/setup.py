@@ -10,6 +10,7 @@ setup_package(
             "animate = ctrl_rl_bringup.cli.animate:animate",
             "compile = ctrl_rl_bringup.cli.compile:compile_kernels",
             "demo = ctrl_rl_bringup.cli.drive:demo",
+            "export = ctrl_rl_bringup.cli.export:export",
             "monitor = ctrl_rl_bringup.cli.drive:monitor",
             "options_demo = ctrl_rl_bringup.cli.team:demo",
             "options_monitor = ctrl_rl_bringup.cli.team:monitor",

@@ -52,7 +52,10 @@ PAGES = {
         before=_robot("car_ttr")
         + "mkdir -p runs/mine && cp $(python -c 'import ctrl_rl_core.policies as p; print(p.__path__[0])')"
         + "/pretrained/car_ttr.safetensors runs/mine/policy.safetensors\n",
-        between={"ros2 run ctrl_rl_core policy --ros-args -p policy:=runs/mine": "sleep 2; stop_all"},
+        between={
+            "ros2 run ctrl_rl_core policy --ros-args -p policy:=runs/mine": "sleep 2; stop_all",
+            "ros2 run ctrl_rl_core policy --ros-args -p policy:=runs/onnx": "sleep 2; stop_all",
+        },
         smaller={
             "ros2 run ctrl_rl_learning teach": "--seeds 1 --samples 4000",
             "ros2 run ctrl_rl_bringup transfer": "--seeds 1",

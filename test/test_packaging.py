@@ -86,7 +86,7 @@ def third_party(package: str) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
                 found.add(str(node.module).partition(".")[0])
     found -= sys.stdlib_module_names | set(PACKAGES)
-    found -= LEARNING if package in METHODS else {"onnxruntime", "ray"}
+    found -= LEARNING if package in METHODS else {"onnx", "onnxruntime", "ray"}
     return {name for name in found if not ROS.fullmatch(name)}
 
 

@@ -86,6 +86,12 @@ def test_beams_without_a_range_read_what_they_mean() -> None:
         assert observe(part, ranges=ranges, scan=scan) == pytest.approx([1.0, wanted, 1.0, 1.0])
 
 
+def test_bearings_need_not_be_evenly_spaced() -> None:
+    ranges = 1.0 + np.arange(360) / 1000.0
+    part = {"source": "scan", "count": 3, "at": [-0.5 * math.pi, 0.0, 1.0], "high": 10.0}
+    assert observe(part, ranges=ranges) == pytest.approx([1.27, 1.0, 1.057])
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     beams=st.integers(36, 800),
@@ -116,6 +122,8 @@ def test_the_same_bearings_are_seen_by_any_lidar(
         ({"observation": [{"source": "odometry", "names": ["v"], "unit": 0.0}]}, "unit must be above 0"),
         ({"observation": [{"source": "odometry", "names": ["v"], "high": math.nan}]}, "finite"),
         ({"observation": [{"source": "scan", "count": 10**9, "high": 1.0}]}, "less than or equal to 1000"),
+        ({"observation": [{"source": "scan", "count": 2, "at": [0.1], "high": 1.0}]}, "at has 1 bearings: must be 2"),
+        ({"largest_distance": -1.0}, "greater than 0"),
         ({"action": {"low": [0.0, 1.0], "high": [1.0, 1.0]}}, "the minimum must lie below the maximum"),
         ({"action": {**DRIVE["action"], "choices": [[0.0, 0.0], [0.0, 5.0]]}}, "is not between low and high"),
         ({"rest": [1.0, 0.0]}, "stands at 0 m/s"),
@@ -232,6 +240,10 @@ def test_an_onnx_model_drives_by_its_manifest(tmp_path: Path) -> None:
     ):
         with pytest.raises(PolicyError, match=message):
             load_policy(onnx_file(tmp_path, **changes))
+    file = onnx_file(tmp_path)
+    file.with_suffix(".yaml").write_text(yaml.safe_dump({**DRIVE, "largest_distance": 1.3}))
+    with pytest.raises(PolicyError, match="the model gives no distance as its second output"):
+        load_policy(file)
     file.write_bytes(b"no model")
     with pytest.raises(PolicyError, match=r"policy\.onnx: is no ONNX model"):
         load_policy(file)

@@ -1,4 +1,4 @@
-"""Generate the reference pages from the code: commands, parameters, topics, messages, schemas, Python names."""
+"""Generate the reference pages from the code: commands, parameters, topics, messages, schemas, names, policies."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 
 from capabilities import capability_page
 from commands import command_page
+from ctrl_rl_bringup.cards import zoo_pages
 from messages import message_page
 from names import names_page
 from nodes import parameter_page, topic_page
 from readmes import package_pages
 from schemas import schema_page
+from workspace import ROOT
 
 PAGES = {
     "capabilities.md": capability_page,
@@ -40,7 +42,7 @@ def main() -> int:
             continue
         print(f"reference: {folder / name}", flush=True)
         (folder / name).write_text(page(), encoding="utf-8")
-    for name, text in package_pages().items():
+    for name, text in (package_pages() | zoo_pages(ROOT / "docs" / "results")).items():
         (folder / name).write_text(text, encoding="utf-8")
     return 0
 

@@ -1,0 +1,1 @@
+from .zoo import zoo_pages as zoo_pages
