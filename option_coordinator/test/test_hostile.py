@@ -15,7 +15,7 @@ from option_coordinator.protocol.protocol_types import AgentState, CoordinatorHe
 from team import AGENTS, STEP, TIMES, SimulatedCoordinator, Team, at
 
 from ctrl_rl_msgs.msg import AgentStatus, CoordinatorStatus, OptionGrant, OptionRequest
-from option_coordinator import Grant, Request, Status
+from option_coordinator import Grant, Request, Status, TeamId
 
 pytestmark = pytest.mark.fault
 
@@ -207,7 +207,7 @@ def test_words_and_messages_of_another_team_mean_nothing():
     team = Team(5)
     team.advance(1.5)
     (core,) = (coordinator.core for coordinator in team.coordinators)
-    core.team = "mine"
+    core.team = TeamId("mine")
     before = core.epoch
     for k in range(1, 100):
         strike(team, CoordinatorHeartbeat(before + (k << 32), "other"))
