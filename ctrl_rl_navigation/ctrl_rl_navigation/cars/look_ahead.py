@@ -52,7 +52,7 @@ _MARGINS = ((1.0, 1.0), (0.6, 1.0), (0.3, 0.5), (0.1, 0.2), (-0.1, 0.2))
 of the margin, up to its cells; the last ones lead a car away from what it almost touches, by the errors of a scan."""
 _WITHIN = 1.4
 """Distance from the goal at which a candidate may stop, as a multiple of that at which the value is zero."""
-_ECHO_CELL = 0.05
+_ECHO_CELL = 0.08
 """Maximum length of a cell of the obstacles of a scan [m]."""
 _CELLS_PER_WIDTH = 12.0
 """Minimum number of such cells across the car."""

@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.cars.car_value import time_at
+from ctrl_rl_navigation.cars.car_value import BESIDE, time_at
 from ctrl_rl_navigation.cars.footprint import fits
 
 SPEED, CURVATURE, HOLD, SPEED_AFTER, CURVATURE_AFTER, STOPS, END = range(7)
@@ -86,21 +87,22 @@ def _place(grid: Any, x: float, y: float) -> tuple[float, float]:
 
 
 @njit(inline="always")
-def _time_left(times: Any, grid: Any, gear: int, x: float, y: float, theta: float) -> float:
+def _time_left(times: Any, grid: Any, rules: Any, gear: int, x: float, y: float, theta: float) -> float:
     headings = times.shape[1]
     heading = (theta - grid.yaw) / (2.0 * math.pi) * headings
     row, column = _place(grid, x, y)
-    return float(time_at(times, gear, heading - headings * math.floor(heading / headings), row, column))
+    heading -= headings * math.floor(heading / headings)
+    return float(time_at(times, gear, heading, row, column, BESIDE * rules.change))
 
 
 @njit(inline="always")
 def _terminal(times: Any, grid: Any, rules: Any, x: float, y: float, theta: float, v: float) -> float:
     """Return the time to reach from the end of a roll-out [s]."""
     if abs(v) < _STILL:
-        return min(_time_left(times, grid, 0, x, y, theta), _time_left(times, grid, 1, x, y, theta))
+        return min(_time_left(times, grid, rules, 0, x, y, theta), _time_left(times, grid, rules, 1, x, y, theta))
     gear = 0 if v > 0.0 else 1
     full = rules.speeds[gear]
-    left = _time_left(times, grid, gear, x, y, theta)
+    left = _time_left(times, grid, rules, gear, x, y, theta)
     missing = max(full - abs(v), 0.0)
     cost = left + 0.5 * missing * missing / (rules.acceleration * full)
     beyond = 0.5 * v * v / rules.braking - left * full
@@ -131,52 +133,57 @@ def _next(rules: Any, state: Any, acts: bool, wanted: float, angle: float) -> An
 
 
 @njit(inline="always")
-def _is_free(fields: Any, places: Any, shapes: Any, state: Any) -> bool:
+def _is_free(fields: Any, places: Any, shapes: Any, x: float, y: float, theta: float) -> bool:
     for layer in range(2):
-        row, column = _place(places[layer], state[0], state[1])
-        if not fits(fields[layer], row, column, state[2] - places[layer].yaw, shapes[layer]):
+        row, column = _place(places[layer], x, y)
+        if not fits(fields[layer], row, column, theta - places[layer].yaw, shapes[layer]):
             return False
     return True
 
 
-@njit(inline="always")
-def _can_stop(fields: Any, places: Any, shapes: Any, rules: Any, state: Any) -> bool:
-    """Return whether the car touches nothing while it brakes to a stop with its steering as it is."""
+@njit
+def _can_go(fields: Any, places: Any, shapes: Any, rules: Any, track: Any, state: Any) -> bool:
+    """Return whether the car touches nothing at the poses of a track (n, 3), nor while it brakes from its end.
+
+    It brakes with its steering as it is.
+    """
+    for k in range(len(track)):
+        if not _is_free(fields, places, shapes, track[k, 0], track[k, 1], track[k, 2]):
+            return False
     for _ in range(rules.most):
         if abs(state[3]) < _STILL:
             break
         state = _next(rules, state, True, 0.0, state[5])
-        if not _is_free(fields, places, shapes, state):
+        if not _is_free(fields, places, shapes, state[0], state[1], state[2]):
             return False
     return True
 
 
-@njit(inline="always")
+@njit
 def _cost(
-    times: Any, grid: Any, arrival: Any, fields: Any, places: Any, shapes: Any, rules: Any, motion: Any, candidate: Any
-) -> tuple[float, Any]:
-    """Return the cost of a candidate [s], inf if the car touches something, and the state at its end."""
+    times: Any, grid: Any, arrival: Any, rules: Any, motion: Any, candidate: Any, track: Any
+) -> tuple[float, int, Any]:
+    """Return the cost of a candidate [s], the number of its poses, which are filled in, and the state at its end."""
     asked, v, steering = motion
     state = (0.0, 0.0, 0.0, v, asked, steering)
     stop = candidate[STOPS]
-    elapsed = 0.0
-    for number in range(rules.most if stop < math.inf else round(candidate[END] / rules.step)):
-        elapsed = number * rules.step
+    elapsed, count = 0.0, 0
+    while count < (rules.most if stop < math.inf else round(candidate[END] / rules.step)):
         first, over = elapsed < candidate[HOLD] - 1e-9, elapsed >= stop - 1e-9
         if over and abs(state[3]) < _STILL:
             break
         wanted = 0.0 if over else candidate[SPEED] if first else candidate[SPEED_AFTER]
         angle = math.atan(rules.wheelbase * (candidate[CURVATURE] if first else candidate[CURVATURE_AFTER]))
         state = _next(rules, state, elapsed >= rules.delay - 1e-9, wanted, angle)
-        elapsed += rules.step
-        if not _is_free(fields, places, shapes, state):
-            return math.inf, state
+        track[count, 0], track[count, 1], track[count, 2] = state[0], state[1], state[2]
+        count += 1
+        elapsed = count * rules.step
     x, y, theta, v, _, _ = state
     if stop == math.inf:
-        return elapsed + _terminal(times, grid, rules, x, y, theta, v), state
+        return elapsed + _terminal(times, grid, rules, x, y, theta, v), count, state
     there = math.hypot(x - arrival.x, y - arrival.y) <= arrival.radius
     turned = (theta - arrival.heading + math.pi) % (2.0 * math.pi) - math.pi
-    return elapsed if there and abs(turned) <= arrival.tolerance else math.inf, state
+    return elapsed if there and abs(turned) <= arrival.tolerance else math.inf, count, state
 
 
 @cached_njit
@@ -206,12 +213,13 @@ def choose(
         candidates: Candidates (n, 7), see `SPEED` etc.
         favour: Amount by which the first one may cost more [s].
     """
-    best, least = -1, math.inf
+    best, least, track = -1, math.inf, np.empty((rules.most, 3))
     for number in range(len(candidates)):
         candidate = candidates[number]
-        cost, end = _cost(times, grid, arrival, fields, places, shapes, rules, motion, candidate)
+        cost, count, end = _cost(times, grid, arrival, rules, motion, candidate, track)
         turned = abs(math.atan(rules.wheelbase * candidate[CURVATURE]) - motion[2])
         cost += _CHANGE_COST * turned / rules.steering_angle - (favour if number == 0 else 0.0)
-        if cost < least and _can_stop(fields, places, shapes, rules, end):
+        # Most cost more than the best so far, so the obstacles, which take the most time, come last.
+        if cost < least and _can_go(fields, places, shapes, rules, track[:count], end):
             best, least = number, cost
     return best, least
