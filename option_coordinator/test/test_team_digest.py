@@ -98,13 +98,14 @@ def test_a_coordinator_restarted_with_the_options_in_another_order_grants_nothin
     rig.kill("coordinator")
     rig.kill("robot_1")
     rig.start("robot_1", AGENT, team="delivery_team", robot="robot_1", team_namespace=rig.namespace)
-    seen = len(rig.statuses)
     rig.coordinator(team=other_order(tmp_path), policy="spread")
     refused = rig.until(lambda: rig.given("robot_1", GrantStatus.REFUSED), "a refusal")
     assert "the robot's team file differs" in refused[0].reason
     rig.until(lambda: "team file differs" in getattr(rig.status("robot_1"), "message", ""), "its diagnostics say so")
     rig.until(lambda: any("refused: the robot's team file differs" in m.msg for m in said), "its log says so")
     rig.until(lambda: rig.counted("messages with another team file") > 0, "the coordinator says so")
-    assert all(status.state != AgentState.RUNNING for status in rig.statuses[seen:])
+    later = [status for status in rig.statuses if status.incarnation != first.incarnation]
+    assert later
+    assert all(status.state != AgentState.RUNNING for status in later)
     assert rig.given("robot_1") == [first]
     assert world
