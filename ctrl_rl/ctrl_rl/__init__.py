@@ -64,6 +64,7 @@ _EXTRAS = {
     "h5py": "datasets",
     "matplotlib": "sim",
     "mujoco": "sim",
+    "onnx": "onnx",
     "onnxruntime": "onnx",
     "pyarrow": "datasets",
     "pybullet": "sim",

@@ -9,6 +9,7 @@ import pytest
 from ctrl_rl_bringup.cards.success import Share, Success, read_success
 from ctrl_rl_bringup.cards.zoo import all_shipped, describe, zoo_pages
 from ctrl_rl_bringup.cli.export import export
+from ctrl_rl_bringup.transfer import play_episode
 from ctrl_rl_core.io import read_experiment
 from ctrl_rl_core.networks import Dense, Network, Prepend, to_onnx
 from ctrl_rl_core.policies import TOLERANCE, largest_difference, shipped_policies
@@ -20,11 +21,13 @@ from ctrl_rl_core import (
     ScanGeometry,
     Sensors,
     find_policy,
+    load_navigation_task,
     load_policy,
     make_odometry,
     write_results,
 )
 from koopman_lqr_controller import Encoder, LatentController, LatentPolicy, LinearModel, save_policy
+from sim_bridge import SimulationOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
@@ -81,6 +84,16 @@ def test_a_model_stops_the_robot_where_its_policy_does(run, tmp_path):
     for policy in both:
         with pytest.raises(CtrlRlError, match="has left the region seen in training"):
             policy.command(strange)
+
+
+@pytest.mark.parametrize("name", ["car_ttr", "curved_corridor"])
+def test_a_model_drives_as_its_policy(name, run, tmp_path):
+    assert run(name, "--onnx")[0] == 0
+    task, options = load_navigation_task(name), SimulationOptions(engine="mujoco")
+    own, exported = (
+        play_episode(load_policy(file), task, 0, options) for file in (find_policy(name), tmp_path / f"{name}.onnx")
+    )
+    assert own.outcome == exported.outcome == "GOAL"
 
 
 def test_a_model_that_differs_is_found():

@@ -55,10 +55,13 @@ def _export(options: ExportOptions) -> int:
     for path in (options.output / f"{name}{suffix}" for name in files for suffix in suffixes):
         if path.exists() and not options.overwrite:
             raise CommandError(f"{path} exists: give another folder, or --overwrite to replace it")
+    differences = {}
     for name, file in files.items():
         difference = _export_one(name, file, options)
-        if options.results is not None and difference is not None:
-            write_differences(options.results, {name: (policy_digest(file), difference)})
+        if difference is not None:
+            differences[name] = policy_digest(file), difference
+    if options.results is not None:
+        write_differences(options.results, differences)
     return 0
 
 

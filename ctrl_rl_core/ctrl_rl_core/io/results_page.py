@@ -21,7 +21,7 @@ _KINDS = (
     (r"ttr_(.*)", r"Time to reach: \1"),
 )
 """Readable names for the name parts of results files."""
-_SPELT = {"barn": "BARN", "mpc": "MPC", "quad": "quadrotor"}
+_SPELT = {"barn": "BARN", "mpc": "MPC", "onnx": "ONNX", "quad": "quadrotor"}
 
 
 def results_page(folder: Path, link: str = "results") -> str:

@@ -114,7 +114,7 @@ def _described(
             "observation": [scan, {"source": "odometry", "names": ["v", "omega"], "unit": list(speeds)}],
             "action": {"low": low.tolist(), "high": high.tolist()},
             "largest_distance": None if region is None else LARGEST_DISTANCE,
-            "about": f"A Koopman policy ({policy.closed_loop_model().kind}) of {len(policy.z_ref)} observables.",
+            "about": f"A Koopman policy, {policy.closed_loop_model().kind}, of {len(policy.z_ref)} observables.",
         }
     )
 
