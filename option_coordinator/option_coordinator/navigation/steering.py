@@ -44,6 +44,9 @@ class Steering:
     Args:
         planner: Planner of the velocities.
         rank: Number of the robot in its team, which determines its patience.
+
+    Attributes:
+        attempts: How often the robot has backed out on the way to its present goal.
     """
 
     def __init__(self, planner: ReactivePlanner, rank: int = 0) -> None:
@@ -52,7 +55,7 @@ class Steering:
         self._trail: deque[_TrailPoint] = deque(maxlen=_TRAIL_POINTS)
         self._goal: tuple[float, float] | None = None
         self._retreat: tuple[float, float] | None = None
-        self._attempts, self._hold_until = 0, -math.inf
+        self.attempts, self._hold_until = 0, -math.inf
         self._mark, self._marked_at, self._called_at = (math.inf, math.inf), 0.0, -math.inf
 
     def there(self, pose: Array, goal: tuple[float, float]) -> bool:
@@ -70,7 +73,7 @@ class Steering:
         """
         here = (float(pose[0]), float(pose[1]))
         if goal != self._goal or now - self._called_at > _PAUSE:
-            self._goal, self._retreat, self._attempts, self._hold_until = goal, None, 0, -math.inf
+            self._goal, self._retreat, self.attempts, self._hold_until = goal, None, 0, -math.inf
             self._marked_at = now
         self._called_at = now
         if math.dist(here, self._mark) > _STUCK_WITHIN:
@@ -82,11 +85,11 @@ class Steering:
         if self._retreat is not None:
             if not stuck and not self.planner.there(pose, self._retreat):
                 return self.planner.command(pose, points, self._retreat)
-            self._retreat, self._hold_until, self._marked_at = None, now + _HOLD * self._attempts, now
+            self._retreat, self._hold_until, self._marked_at = None, now + _HOLD * self.attempts, now
             return STAND
         self._remember(pose, points)
         if stuck and self._trail:
-            self._attempts += 1
+            self.attempts += 1
             self._retreat, self._marked_at = self._place_to_wait(here), now
         return self.planner.command(pose, points, self._retreat or goal)
 
@@ -97,7 +100,7 @@ class Steering:
 
     def _place_to_wait(self, here: tuple[float, float]) -> tuple[float, float]:
         """Return the nearest place back on the trail that is wide enough for two robots, and somewhat further."""
-        left, way, last = _FURTHER * self._attempts, 0.0, here
+        left, way, last = _FURTHER * self.attempts, 0.0, here
         for place, width in reversed(self._trail):
             step, last = math.dist(last, place), place
             way += step

@@ -125,7 +125,11 @@ class NavigationAgent(RobotNode):
             self._go(_STAND)
             return
         if place is not None and not self._steering.there(self._pose, place):
-            self._go(np.array(self._steering.command(self._pose, self._points, place, self._now())))
+            attempts = self._steering.attempts
+            command = self._steering.command(self._pose, self._points, place, self._now())
+            if self._steering.attempts > attempts:
+                self.get_logger().info(f"backs out on its way to '{self._names[option]}': it is blocked")
+            self._go(np.array(command))
             return
         self._go(_STAND)
         result = self._delivery.at_place(self._now())
