@@ -46,8 +46,15 @@ class Nav2Client(Node):
     def send(self, kind: Any, goal: Any) -> bool:
         client = self._clients_of[kind]
         assert client.wait_for_server(60.0)
-        self.feedback, self.heard = None, []
-        future = client.send_goal_async(goal, self._on_feedback)
+        heard = list[Any]()
+        self.feedback, self.heard = None, heard
+
+        def on_feedback(message: Any) -> None:
+            heard.append(message.feedback)
+            if self.heard is heard:  # not of a goal before
+                self.feedback = message.feedback
+
+        future = client.send_goal_async(goal, on_feedback)
         rclpy.spin_until_future_complete(self, future, timeout_sec=60.0)
         self.goal_handle = future.result()
         if not self.goal_handle.accepted:
@@ -85,10 +92,6 @@ class Nav2Client(Node):
             if self.isTaskComplete() or (fits is not None and fits()):
                 return
         raise AssertionError(f"the task takes too long: {self.feedback}")
-
-    def _on_feedback(self, message: Any) -> None:
-        self.feedback = message.feedback
-        self.heard.append(message.feedback)
 
 
 SUCCEEDED, CANCELED, ABORTED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED

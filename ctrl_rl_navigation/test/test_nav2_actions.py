@@ -147,6 +147,26 @@ def test_a_path_is_followed_and_bad_paths_are_not(application: Nav2Client) -> No
         assert stands(application)
 
 
+def test_a_path_that_is_planned_anew_each_second_does_not_stop_the_robot(application: Nav2Client) -> None:
+    assert application.goToPose(pose_at(0.6, 0.5))
+    application.wait()
+    end, results = (0.6, 1.7), []
+    ways = np.array(((0.6, 0.5), (2.6, 0.5), (2.6, 1.7), end))
+    assert application.followPath(path_through(*ways))
+    application.wait(lambda: bool(application.feedback and application.feedback.speed > 0.15))
+    for _ in range(4):  # as Nav2's behaviour tree does
+        results.append(application.result)
+        assert application.followPath(path_through(*ways))
+        application.wait(lambda: len(application.heard) > 10)
+        stood = [each.speed < 0.02 for each in application.heard]
+        assert sum(stood) < 10  # it turns at corners, and never waits
+    application.wait()
+    assert application.getResult()[0] == SUCCEEDED
+    assert {each.result().status for each in results} == {ABORTED}
+    place = application.odometry[-1].pose.pose.position
+    assert np.hypot(place.x - end[0], place.y - end[1]) < 0.35
+
+
 def test_waypoints_may_be_repeated_and_counts_are_checked(application: Nav2Client) -> None:
     here, there = pose_at(1.5, 0.5), pose_at(1.0, 0.5)
     assert application.send(FollowWaypoints, FollowWaypoints.Goal(poses=[there, here], number_of_loops=1))

@@ -8,6 +8,7 @@ server = GoalServer(node, NavigateToPose, "navigate_to_pose", begin, cancel)
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 _KEEP_S = 10
 """Time for which a result is kept for clients that ask for it later [s], as in Nav2."""
+_LATE_S, _POLL_S = 0.2, 0.01
+"""Time for which a node that ends answers requests for its last result, and the polling interval [s]."""
 _MOST_GOALS = 256
 """Maximum number of goals whose results are kept; further ones are rejected."""
 
@@ -105,6 +108,17 @@ class _Server(ActionServer):
         with suppress(StopIteration):
             self._execute_goal(finish, handle).send(None)
 
+    def answer_late(self, seconds: float) -> None:
+        """Answer requests for results for a while [s], without an executor: a new goal's client may ask only now."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            taken = self._handle.take_result_request(self.action_type.Impl.GetResultService.Request)
+            if all(taken):
+                with suppress(StopIteration):
+                    self._execute_get_result_request(taken).send(None)
+            else:
+                time.sleep(_POLL_S)
+
     @property
     def is_full(self) -> bool:
         """Whether as many results are kept as may be."""
@@ -151,7 +165,9 @@ class GoalServer:
 
     def destroy(self) -> None:
         """Abort the goals that are left, and take the server away; a node that ends does this after its `stop`."""
+        had = any(goal.active for goal in self._goals.values())
         self.abort("the node ends")
+        self._server.answer_late(_LATE_S if had else 0.0)
         self._server.destroy()
 
     def _on_request(self, _request: Any) -> GoalResponse:

@@ -12,6 +12,9 @@ from ctrl_rl_core import OccupancyMap
 
 Array = NDArray[np.float64]
 
+_PIECE = 100
+"""Number of positions of a path whose surroundings are treated at once, half a cell apart."""
+
 
 def resample(path: Array, step: float) -> Array:
     """Return points (m, 2) at equal distances of at most `step` [m] along a path (n, 2), from its start to its end."""
@@ -27,12 +30,16 @@ def distances_to_path(map_: OccupancyMap, path: Array, reach: float) -> NDArray[
     out = np.full(map_.cells.shape, np.inf, np.float32)
     cells = np.rint(map_.to_grid(resample(path, 0.5 * map_.resolution))).astype(int)
     border = math.ceil(reach / map_.resolution) + 1
-    low = np.maximum(cells.min(axis=0) - border, 0)
-    high = np.minimum(cells.max(axis=0) + border + 1, out.shape)
-    inside = cells[((cells >= low) & (cells < high)).all(axis=1)] - low
-    if len(inside):
-        away = np.ones(high - low, bool)
-        away[inside[:, 0], inside[:, 1]] = False
-        distances = map_.resolution * distance_transform_edt(away)
-        out[low[0] : high[0], low[1] : high[1]] = np.where(distances <= reach, distances, np.inf)
+    # Piece by piece: of a long path that turns, a single box would be most of the map, and delay the node's commands.
+    for begin in range(0, len(cells), _PIECE):
+        piece = cells[begin : begin + _PIECE]
+        low = np.maximum(piece.min(axis=0) - border, 0)
+        high = np.minimum(piece.max(axis=0) + border + 1, out.shape)
+        inside = piece[((piece >= low) & (piece < high)).all(axis=1)] - low
+        if len(inside):
+            away = np.ones(high - low, bool)
+            away[inside[:, 0], inside[:, 1]] = False
+            distances = map_.resolution * distance_transform_edt(away)
+            part = out[low[0] : high[0], low[1] : high[1]]
+            np.minimum(part, np.where(distances <= reach, distances, np.inf), out=part, casting="unsafe")
     return out
