@@ -28,7 +28,8 @@ from ctrl_rl_navigation.nodes.parameters import ANY_HEADING
 
 Array = NDArray[np.float64]
 
-_MOST_POSES = 20_000
+_MOST_POSES, _MOST_GOALS = 20_000, 1000
+"""Largest numbers of poses of a path, and of goals on a journey."""
 _NO_PLAN, _BAD_PLAN, _NO_FRAME = 208, 200, 202
 """Codes of Nav2's planner: NO_VALID_PATH, UNKNOWN and TF_ERROR."""
 _STUCK, _NO_SENSES, _BAD_PATH = (
@@ -102,7 +103,7 @@ class NavigatorActions:
         self._begin(goal, self._legs(goal.request.poses), stops=False)
 
     def _on_waypoints(self, goal: ActiveGoal) -> None:
-        request, most = goal.request, _MOST_POSES // max(len(goal.request.poses), 1)
+        request, most = goal.request, _MOST_GOALS // max(len(goal.request.poses), 1)
         if request.goal_index > len(request.poses) or request.number_of_loops >= max(most, 1):
             raise GoalError("goal_index or number_of_loops is too large", FollowWaypoints.Result.UNKNOWN)
         poses = [*request.poses[request.goal_index :], *(request.number_of_loops * list(request.poses))]
@@ -129,8 +130,8 @@ class NavigatorActions:
         self._begin(goal, legs, stops=False)
 
     def _legs(self, poses: list[PoseStamped]) -> list[Leg]:
-        if not 0 < len(poses) <= _MOST_POSES:
-            raise GoalError(f"{len(poses)} poses: must be 1 to {_MOST_POSES}", _BAD_PLAN)
+        if not 0 < len(poses) <= _MOST_GOALS:
+            raise GoalError(f"{len(poses)} poses: must be 1 to {_MOST_GOALS}", _BAD_PLAN)
         return legs_to([self._read(each) for each in poses])
 
     def _read(self, pose: PoseStamped) -> Goal:
