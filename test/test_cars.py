@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cars.command import main
-from cars.drives import Drives, draw_trials
+from cars.drives import Drives, Trial, draw_trials
 from cars.hybrid_a_star import HybridAStar
 from cars.maps import Place, make_car_park, make_maze
 from cars.reeds_shepp import shortest
@@ -117,6 +117,22 @@ def test_a_car_drives_through_a_maze(engine: str) -> None:
             ride = drives.ride(trial, number)
             assert ride.arrived
             assert ride.seconds < 2.0 * ride.optimal
+    finally:
+        drives.close()
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_car_passes_a_pole_and_parks_in_the_narrow_bay_behind_it(filtered: bool) -> None:
+    cells = np.zeros((100, 160), np.int8)
+    cells[:, 136:] = 100
+    cells[43:57, 136:156] = 0  # a bay of 0.7 m; the car with its margins is 0.41 m wide
+    cells[50, 106] = 100
+    cells[[0, -1]], cells[:, [0, -1]] = 100, 100
+    drives = Drives(Place("bay", "race_car", OccupancyMap(cells, 0.05)), "planar", filtered)
+    try:
+        ride = drives.ride(Trial(np.array((1.0, 2.5, 0.0)), np.array((7.1, 2.5, 0.0))), 0)
+        assert ride.arrived
+        assert ride.seconds < 2.0 * ride.optimal
     finally:
         drives.close()
 

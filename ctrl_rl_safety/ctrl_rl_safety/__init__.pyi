@@ -1,5 +1,7 @@
 from .errors import SafetyError as SafetyError
 from .filter.answer import answer as answer
+from .filter.car_filter import CarFilter as CarFilter
+from .filter.car_filter import make_filter as make_filter
 from .filter.safety_filter import SafetyFilter as SafetyFilter
 from .filter.verdict import FilterOptions as FilterOptions
 from .filter.verdict import Mode as Mode
@@ -8,6 +10,8 @@ from .filter.verdict import Verdict as Verdict
 from .flight.flight_guard import FlightGuard as FlightGuard
 from .flight.flight_guard import FlightOptions as FlightOptions
 from .flight.flight_guard import FlightVerdict as FlightVerdict
+from .models.car_model import CarModel as CarModel
+from .models.car_model import find_vehicle as find_vehicle
 from .models.growth import Growth as Growth
 from .models.quadrotor_model import QuadrotorModel as QuadrotorModel
 from .models.quadrotor_model import quadrotor_of as quadrotor_of

@@ -38,6 +38,8 @@ class Options:
     """Number of goals per map and engine."""
     plans: int = 100
     """Number of goals per map to which the hybrid A* plans as well."""
+    filter: bool = False
+    """Whether the safety filter stands between navigator and car."""
     seed: int = 0
     """Seed of maps, starts and goals."""
     output: Path | None = None
@@ -68,7 +70,7 @@ def main() -> int:
 
 def _drive(place: Place, engine: str, options: Options) -> int:
     """Drive on a map, write the results, and return the number of goals that were missed."""
-    drives, done = Drives(place, engine), list[Ride]()
+    drives, done = Drives(place, engine, options.filter), list[Ride]()
     try:
         trials = draw_trials(place, drives.solver, options.goals, options.seed)
         for number, trial in enumerate(tqdm(trials, desc=f"{place.name}, {engine}", unit=" drives", disable=None)):
@@ -76,7 +78,7 @@ def _drive(place: Place, engine: str, options: Options) -> int:
             _say(place.name, number, trial, done[-1])
     finally:
         drives.close()
-    method = f"{place.name}, {place.robot}, {engine}"
+    method = f"{place.name}, {place.robot}, {engine}{', filter' if options.filter else ''}"
     rows = rows_of(method, done, drives.prepared)
     _tell(method, rows, options)
     return sum(math.isfinite(each.optimal) and not each.arrived for each in done)

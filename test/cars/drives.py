@@ -13,10 +13,12 @@ import numpy as np
 from ctrl_rl_navigation.cars import CarNavigator, CarSolver, car_limits_of
 from ctrl_rl_navigation.cli import task_content
 from ctrl_rl_navigation.driving import Goal, NavigatorDriver, NavigatorOptions, NavigatorState
+from ctrl_rl_safety.filter import SensorFilter
 from numpy.typing import NDArray
 
 from cars.maps import Place
 from ctrl_rl_core import NavigationTask, Sensors, drive, find_robot
+from ctrl_rl_safety import FilterOptions, find_vehicle, make_filter
 from sim_bridge import SimulatedRobot, SimulatedWorld, SimulationOptions
 
 Array = NDArray[np.float64]
@@ -114,12 +116,18 @@ class _Course(SimulatedRobot):
 class Drives:
     """Drives of one car on one map in one engine.
 
+    Args:
+        place: The map, with its car.
+        engine: Name of the engine.
+        filtered: Whether the safety filter stands between navigator and car.
+
     Attributes:
         solver: Solver of the map.
         prepared: Duration of the preparation of the map, as before each new map [s].
     """
 
-    def __init__(self, place: Place, engine: str) -> None:
+    def __init__(self, place: Place, engine: str, filtered: bool = False) -> None:
+        self._place, self._filtered = place, filtered
         robot = find_robot(place.robot)
         limits, options = car_limits_of(robot), make_options()
         self.navigator = CarNavigator(limits, options)
@@ -147,12 +155,20 @@ class Drives:
         value = navigator.value
         optimal = math.inf if value is None else float(value.value(trial.start)) + navigator.limits.stop_time
         self._robot.longest = _LONGEST * (optimal if math.isfinite(optimal) else 0.0) + _SPARE
-        (episode,) = drive(self._robot, self._driver, seeds=(seed,))
+        (episode,) = drive(self._robot, self._driver, self._filter(), seeds=(seed,))
         x, y, theta = world.pose()
         missed = math.dist((x, y), trial.goal[:2]), abs(math.remainder(theta - trial.goal[2], 2.0 * math.pi))
         contact = episode.info["smallest_clearance"] <= 0.0
         solved = math.nan if value is None else value.seconds
         return Ride(self._driver.decision.state, contact, world.elapsed, optimal, solved, missed)
+
+    def _filter(self) -> SensorFilter | None:
+        """Return a filter that has seen nothing yet; None without one."""
+        if not self._filtered:
+            return None
+        period = self.navigator.options.period
+        safety = make_filter(find_vehicle(self._place.robot), FilterOptions(period=period))
+        return SensorFilter(safety, find_robot(self._place.robot).lidar.x)
 
     def close(self) -> None:
         """Release the engine."""

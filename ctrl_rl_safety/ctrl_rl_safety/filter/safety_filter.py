@@ -220,7 +220,7 @@ class SafetyFilter:
             self._corrected,
             turn,
             self.options.hysteresis,
-            self._hold + max(math.ceil((self._interval + _LATE - (now - self._arrived)) / STEP), 0),
+            self._patience(now),
             self._kind,
             slowest,
             fastest,
@@ -285,6 +285,10 @@ class SafetyFilter:
             self.model.turn_rate,
             self.model.lag,
         )
+
+    def _patience(self, now: float) -> int:
+        """Return the number of time steps until a command after the next scan can take effect."""
+        return self._hold + max(math.ceil((self._interval + _LATE - (now - self._arrived)) / STEP), 0)
 
     def _under_way(self, now: float, age: float, delay: float) -> Array:
         """Return the commands in each time step from the odometry until a new one takes effect (n, 2).

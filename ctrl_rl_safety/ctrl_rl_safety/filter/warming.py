@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from ctrl_rl_core.sensing import DIRECTIONS
 
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
+from ctrl_rl_safety.filter.car_filter import make_filter
 from ctrl_rl_safety.filter.seen_space import Sight
 from ctrl_rl_safety.filter.verdict import FilterOptions, Reading
 from ctrl_rl_safety.models.robot_model import RobotModel
@@ -14,7 +14,7 @@ from ctrl_rl_safety.monitor.robot_monitor import RobotMonitor
 
 def warm_up(model: RobotModel, options: FilterOptions) -> None:
     """Compile the filter's functions, or load them from disk, before timing matters."""
-    safety = SafetyFilter(model, options)
+    safety = make_filter(model, options)
     bearings = np.linspace(-3.0, 3.0, 60)
     echoes = 2.0 * model.radius * np.column_stack((np.cos(bearings), np.sin(bearings)))
     reading = Reading(np.zeros(3), 0.5 * model.speed, 0.0)

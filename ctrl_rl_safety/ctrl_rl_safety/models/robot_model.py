@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import ClassVar
 
 import yaml
 from ctrl_rl_core.robots import robot_names
@@ -94,6 +95,8 @@ class RobotModel:
             not lie in the disc.
     """
 
+    steered: ClassVar[bool] = False
+    """Whether front wheels are steered, so that the robot cannot turn on the spot."""
     name: str
     radius: float
     speed: float
@@ -113,13 +116,10 @@ class RobotModel:
     missing_rate: float = 0.1
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if field.name == "name":
-                continue
-            value, largest = getattr(self, field.name), LARGEST[field.name]
-            least = "0" if field.name in _MAY_BE_ZERO else "more than 0"
+        for name, largest in LARGEST.items():
+            value, least = getattr(self, name), "0" if name in _MAY_BE_ZERO else "more than 0"
             if not (math.isfinite(value) and 0.0 <= value <= largest and (value > 0.0 or least == "0")):
-                raise SafetyError(f"{field.name} {value} {UNITS[field.name]}: must be {least} to {largest:g}")
+                raise SafetyError(f"{name} {value} {UNITS[name]}: must be {least} to {largest:g}")
         if (self.length > 0.0) != (self.width > 0.0):
             raise SafetyError("a rectangle needs both length and width: leave both out for a round robot")
         if math.hypot(*self.core) > self.radius + 1e-3:
@@ -184,7 +184,11 @@ class RobotModel:
             SafetyError: The robot has no wheels.
         """
         if robot.kind != "differential_drive":
-            kind = "is a car, for which the filter has no model" if robot.steering else "does not drive on wheels"
+            kind = (
+                "is a car, and this needs a robot that turns on the spot"
+                if robot.steering
+                else "does not drive on wheels"
+            )
             raise SafetyError(f"robot '{robot.name}' {kind}")
         own = {field.name: getattr(robot, field.name) for field in fields(cls) if field.name != "missing_rate"}
         return cls(**own, missing_rate=robot.lidar.missing_rate)

@@ -130,7 +130,8 @@ class ModelMonitor:
         self._speed.measure(speeds, last[0], time, v, coupled[1], crowded[1], known, any_)
         # Turn rates shake as wheels slip: what the speed has shown of the delay counts for more.
         known, possible = self._speed.grown.delay, self._speed.delays
-        self._turn.measure(turns, last[0], time, omega, coupled[0], crowded[0], known, possible)
+        if not self.stated.steered:  # a car's turn rate follows from its speed and its front wheels
+            self._turn.measure(turns, last[0], time, omega, coupled[0], crowded[0], known, possible)
         self._use()
 
     @property

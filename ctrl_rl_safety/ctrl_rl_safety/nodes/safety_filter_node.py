@@ -24,12 +24,12 @@ from visualization_msgs.msg import Marker
 from ctrl_rl_core import COMMAND, RESULT, LidarRobot, Parameter, RobotNode, ScanGeometry, VelocityError, run_node
 from ctrl_rl_msgs.msg import SafetyStatus
 from ctrl_rl_safety.errors import SafetyError
+from ctrl_rl_safety.filter.car_filter import make_filter
 from ctrl_rl_safety.filter.evidence import beams_of
-from ctrl_rl_safety.filter.safety_filter import SafetyFilter
 from ctrl_rl_safety.filter.seen_space import sight_of
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Verdict
 from ctrl_rl_safety.filter.warming import warm_up
-from ctrl_rl_safety.models.robot_model import find_model
+from ctrl_rl_safety.models.car_model import find_vehicle
 from ctrl_rl_safety.nodes.inputs import AHEAD, OdometryInput, age_of, beam_times
 from ctrl_rl_safety.nodes.map_input import MapInput
 from ctrl_rl_safety.nodes.messages import WHY, escape_marker, slice_message
@@ -62,7 +62,7 @@ class SafetyFilterNode(RobotNode):
     def __init__(self) -> None:
         super().__init__("safety_filter")
         value = self.settings
-        model = replace(find_model(value["robot"]), missing_rate=value["missing_rate"])
+        model = replace(find_vehicle(value["robot"]), missing_rate=value["missing_rate"])
         options = FilterOptions(
             period=_JITTER * value["control_period"],
             mover_speed=value["mover_speed"],
@@ -76,7 +76,7 @@ class SafetyFilterNode(RobotNode):
             unseen=value["unseen"],
         )
         warm_up(model, options)
-        self._filter = SafetyFilter(model, options)
+        self._filter = make_filter(model, options)
         self._monitoring = Monitoring(self._filter, value)
         self.robot = robot = LidarRobot(self, reach=self._filter.reach + abs(value["lidar_x"]))
         robot.set_limits(*model.limits)
