@@ -4,8 +4,9 @@ A turn changes the heading by whole steps of the grid, so only the position is i
 cells are alike, so an arc is one row of a table for each heading. A straight arc has the length, within bounds, whose
 end is closest to a cell, where the interpolation error per length is smallest.
 
-An arc is free if the room around the car's rectangle is at least the margin all along. The room is interpolated at
-poses about a cell apart, between the eight states around each.
+An arc is free if the room around the car's rectangle is at least the margin all along, and easy if it is half a cell
+more: a car between two states may have that much less room than they have. The room is interpolated at poses about a
+cell apart, between the eight states around each.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _SHORT, _LONG = (1.0, 1.8), (3.0, 6.0)
 _TURNS = (1.0, 2.2, 3.3, 4.4)
 """Minimum lengths of turns [cells]. Of several, one ends close to a cell: with the first two alone, times in the open
 are 2.6 % too long, with all of them 1.6 % (median, for a turning radius of 12.5 cells)."""
+EASY = 16
+"""Place of the first bit of the easy arcs."""
 _APART = 1.2
 """Maximum distance between poses of an arc at which the room is interpolated [cells]."""
 
@@ -141,21 +144,22 @@ def _interpolate(flat: Any, at: int, width: int, u: Any, v: Any, share: Any, fre
             out[j] += wa * a[j] + wb * b[j] + wc * c[j] + wd * d[j]
 
 
-def _allow_arcs(room: Any, arcs: Any, margin: Any, reach: Any, tiles: Any, out: Any) -> None:
-    """Mark which arcs from the states of tiles keep a margin to obstacles.
+def _allow_arcs(room: Any, arcs: Any, margin: Any, easy: Any, reach: Any, tiles: Any, out: Any) -> None:
+    """Mark which arcs from the states of tiles are free, and which are easy.
 
     Args:
         room: Room around the car (H, R, C) [m].
         arcs: The arcs.
-        margin: Distance to keep [m].
+        margin: Room of a free arc [m].
+        easy: Room of an easy one [m].
         reach: Most by which the room changes on an arc [m].
         tiles: First row and column of each tile (n, 2).
-        out: A bit for each arc, zero where the car itself is too close (2, H, R, C).
+        out: A bit for each free arc, and from bit `EASY` on one for each easy one (2, H, R, C).
     """
     headings, height, width = room.shape
     flat = room.reshape(-1)
     least, here = np.empty(COLUMNS, np.float32), np.empty(COLUMNS, np.float32)
-    bits = np.empty(COLUMNS, np.uint16)
+    bits = np.empty(COLUMNS, np.uint32)
     count = arcs.times.shape[2]
     one, few = np.float32(1.0), np.float32(1e-4)
     for number in range(len(tiles)):
@@ -166,8 +170,8 @@ def _allow_arcs(room: Any, arcs: Any, margin: Any, reach: Any, tiles: Any, out: 
                 own = flat[i : i + COLUMNS]
                 widest, tightest = own.max(), own.min()
                 for gear in range(2):
-                    bits[:] = np.uint16((1 << count) - 1 if tightest >= margin + reach else 0)
-                    for arc in range(count if tightest < margin + reach and widest >= margin else 0):
+                    bits[:] = np.uint32(((1 << EASY) + 1) * ((1 << count) - 1) if tightest >= easy + reach else 0)
+                    for arc in range(count if tightest < easy + reach and widest >= margin else 0):
                         least[:] = own
                         for pose in range(arcs.counts[gear, heading, arc]):
                             turned, rows, columns = arcs.swept[gear, heading, arc, pose]
@@ -180,9 +184,9 @@ def _allow_arcs(room: Any, arcs: Any, margin: Any, reach: Any, tiles: Any, out: 
                                 _interpolate(flat, high, width, u, v, p, False, here)
                             for j in range(COLUMNS):
                                 least[j] = here[j] if here[j] < least[j] else least[j]
-                        bit = np.uint16(1 << arc)
+                        bit, both = np.uint32(1 << arc), np.uint32(((1 << EASY) + 1) << arc)
                         for j in range(COLUMNS):
-                            bits[j] |= bit if least[j] >= margin else np.uint16(0)
+                            bits[j] |= both if least[j] >= easy else bit if least[j] >= margin else np.uint32(0)
                     out[gear, heading, row, left : left + COLUMNS] = bits
 
 

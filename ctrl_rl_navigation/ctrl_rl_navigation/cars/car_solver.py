@@ -44,11 +44,11 @@ class FreeSpace(NamedTuple):
 
     Attributes:
         room: Distance from its rectangle to the nearest obstacle, up to what matters (headings, rows, columns) [m].
-        allowed: A bit for each arc that keeps the margin (2, headings, rows, columns).
+        allowed: Bits of the arcs that are free, and of those that are easy (2, headings, rows, columns).
     """
 
     room: NDArray[np.float32]
-    allowed: NDArray[np.uint16]
+    allowed: NDArray[np.uint32]
 
 
 class CarSolver:
@@ -87,20 +87,24 @@ class CarSolver:
         # On an arc each point of the car moves at most this far.
         self._reach = longest * self.grid.resolution * (1.0 + limits.radius / limits.turning_radius)
         size = (headings, *self._tiling.shape)
-        self._space = FreeSpace(np.zeros(size, np.float32), np.zeros((2, *size), np.uint16))
+        self._space = FreeSpace(np.zeros(size, np.float32), np.zeros((2, *size), np.uint32))
         self._fill(self._space, self.clearance, np.ones((self._tiling.rows, self._tiling.columns), np.bool_))
 
     def _fill(self, space: FreeSpace, clearance: NDArray[np.float32], tiles: NDArray[np.bool_]) -> None:
         """Fill in the free space of marked tiles, by the clearance of the map's cells (rows, columns) [m]."""
         limits, resolution = self.limits, self.map.resolution
         rectangle = footprint_of(limits.length, limits.width, limits.centre, 0.0, resolution)
-        field, most = distances(clearance, resolution), (limits.margin + self._reach) / resolution
+        field, most = (
+            distances(clearance, resolution),
+            (limits.margin + 0.5 * self.grid.resolution + self._reach) / resolution,
+        )
         place = float(self._joined), 0.5 * (self._joined - 1), self._tiling.border
-        margin, reach = np.float32(limits.margin), np.float32(self._reach)
+        easy = limits.margin + 0.5 * self.grid.resolution
+        rooms = np.float32(limits.margin), np.float32(easy), np.float32(self._reach)
         corners = self._tiling.corners(tiles)
         with sharing() as share:
             share(lambda part: fill_room(field, rectangle, *place, most, resolution, part, space.room), corners)
-            share(lambda part: allow_arcs(space.room, self._arcs, margin, reach, part, space.allowed), corners)
+            share(lambda part: allow_arcs(space.room, self._arcs, *rooms, part, space.allowed), corners)
 
     def fits(self, poses: ArrayLike, margin: float | None = None) -> NDArray[np.bool_]:
         """Return whether the car stands free of obstacles at poses (..., 3) [m, m, rad].

@@ -21,8 +21,6 @@ _STEP = 1.0
 """Length of an arc of a path [cells]."""
 _NEAR = 2
 """Distance at which a pose without a time looks for one [cells]: errors of the pose may put the car into a margin."""
-BESIDE = 0.5
-"""What it costs a driving car to be beside states without a time, in changes of the gear."""
 _KEPT = 0.7
 """Fraction of the margin that a path keeps, since its poses lie between those of the grid."""
 _STALL = 8
@@ -30,11 +28,10 @@ _STALL = 8
 
 
 @njit(inline="always")
-def time_at(times: Any, gear: int, heading: float, row: float, column: float, beside: float) -> float:
+def time_at(times: Any, gear: int, heading: float, row: float, column: float) -> float:
     """Interpolate the time [s] of a gear at a pose: heading in steps, row and column in cells; inf where there is none.
 
-    Of the eight states around the pose, those without a time count like the others, and `beside` seconds more: close to
-    a wall a car cannot turn as it could a little farther away.
+    Of the eight states around the pose, those without a time are left out.
     """
     _, headings, height, width = times.shape
     below, low, left = math.floor(heading), math.floor(row), math.floor(column)
@@ -56,7 +53,7 @@ def time_at(times: Any, gear: int, heading: float, row: float, column: float, be
                     share = p * u * (column - left if j else 1.0 - (column - left))
                     total += share * time
                     weight += share
-    return total / weight + (1.0 - weight) * beside if weight > 1e-6 else np.inf
+    return total / weight if weight > 1e-6 else np.inf
 
 
 @njit(inline="always")
@@ -80,7 +77,7 @@ def _values(times: Times, places: Array, out: Array) -> None:
     """Fill in the lesser time of the two gears (n,) at places (n, 3): heading in steps, row and column in cells."""
     for i in range(len(places)):
         heading, row, column = places[i]
-        out[i] = min(time_at(times, 0, heading, row, column, 0.0), time_at(times, 1, heading, row, column, 0.0))
+        out[i] = min(time_at(times, 0, heading, row, column), time_at(times, 1, heading, row, column))
 
 
 @cached_njit
@@ -102,14 +99,13 @@ def _descend(
     headings = times.shape[1]
     step = 2.0 * math.pi / headings
     heading, row, column = place
-    beside = BESIDE * change
-    forward = time_at(times, 0, heading, row, column, beside)
-    gear = 0 if forward <= time_at(times, 1, heading, row, column, beside) else 1
+    forward = time_at(times, 0, heading, row, column)
+    gear = 0 if forward <= time_at(times, 1, heading, row, column) else 1
     best, stalled, count = np.inf, 0, 0
     while count < len(out):
         out[count, 0], out[count, 1], out[count, 2] = heading, row, column
         count += 1
-        here = time_at(times, gear, heading, row, column, beside)
+        here = time_at(times, gear, heading, row, column)
         stalled = 0 if here < best - 1e-4 else stalled + 1
         best = min(best, here)
         if here <= 0.0 or stalled > _STALL:
@@ -123,7 +119,7 @@ def _descend(
                 middle, chord = heading * step + half, way * (math.sin(half) / half if turn else 1.0)
                 h = (heading + 2.0 * half / step) % headings
                 r, c = row + chord * math.sin(middle), column + chord * math.cos(middle)
-                cost = seconds[other] + time_at(times, other, h, r, c, beside) + (change if other != gear else 0.0)
+                cost = seconds[other] + time_at(times, other, h, r, c) + (change if other != gear else 0.0)
                 if cost < least and _room_at(room, h, r, c) >= enough:
                     least, to_heading, to_row, to_column, to_gear = cost, h, r, c, other
         if least == np.inf:

@@ -16,7 +16,7 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.cars.car_value import BESIDE, time_at
+from ctrl_rl_navigation.cars.car_value import time_at
 from ctrl_rl_navigation.cars.footprint import fits
 
 SPEED, CURVATURE, HOLD, SPEED_AFTER, CURVATURE_AFTER, STOPS, END = range(7)
@@ -87,22 +87,22 @@ def _place(grid: Any, x: float, y: float) -> tuple[float, float]:
 
 
 @njit(inline="always")
-def _time_left(times: Any, grid: Any, rules: Any, gear: int, x: float, y: float, theta: float) -> float:
+def _time_left(times: Any, grid: Any, gear: int, x: float, y: float, theta: float) -> float:
     headings = times.shape[1]
     heading = (theta - grid.yaw) / (2.0 * math.pi) * headings
     row, column = _place(grid, x, y)
     heading -= headings * math.floor(heading / headings)
-    return float(time_at(times, gear, heading, row, column, BESIDE * rules.change))
+    return float(time_at(times, gear, heading, row, column))
 
 
 @njit(inline="always")
 def _terminal(times: Any, grid: Any, rules: Any, x: float, y: float, theta: float, v: float) -> float:
     """Return the time to reach from the end of a roll-out [s]."""
     if abs(v) < _STILL:
-        return min(_time_left(times, grid, rules, 0, x, y, theta), _time_left(times, grid, rules, 1, x, y, theta))
+        return min(_time_left(times, grid, 0, x, y, theta), _time_left(times, grid, 1, x, y, theta))
     gear = 0 if v > 0.0 else 1
     full = rules.speeds[gear]
-    left = _time_left(times, grid, rules, gear, x, y, theta)
+    left = _time_left(times, grid, gear, x, y, theta)
     missing = max(full - abs(v), 0.0)
     cost = left + 0.5 * missing * missing / (rules.acceleration * full)
     beyond = 0.5 * v * v / rules.braking - left * full

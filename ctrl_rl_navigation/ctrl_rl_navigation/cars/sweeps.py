@@ -19,13 +19,15 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.cars.arcs import Arcs
+from ctrl_rl_navigation.cars.arcs import EASY, Arcs
 from ctrl_rl_navigation.cars.tiles import COLUMNS, ROWS, Share, Tiling
 
 FAR = np.float32(1e6)
 """Value of a state that no sweep has reached [s]; that of a state in collision is inf."""
 _LEAST_WEIGHT = np.float32(0.3)
 """Sum of the weights of cells without collision at an arc's end, below which the arc does not count."""
+_SLOW = np.float32(1.5)
+"""Duration of an arc that is free but not easy, as a multiple: cars drive slowly where they hardly fit."""
 _BETTER = np.float32(1e-3)
 """Minimum decrease of a value that counts [s]."""
 _SWEEPS = 4
@@ -42,13 +44,14 @@ def _by_gear(own: Any, other: Any, change: Any, best: Any) -> None:
 
 
 @njit(inline="always")
-def _by_arc(flat: Any, at: int, width: int, w: Any, time: Any, ok: Any, bit: Any, aside: Any, best: Any) -> None:
+def _by_arc(flat: Any, at: int, width: int, w: Any, time: Any, ok: Any, arc: int, aside: Any, best: Any) -> None:
     """Lower the best values of a row by an arc whose ends lie between the cells from `at` on, and those one row on."""
     far, zero = np.float32(np.inf), np.float32(0.0)
     # Four views, since indices other than the loop's own keep the compiler from using vectors.
     first, second = flat[at : at + COLUMNS], flat[at + 1 : at + 1 + COLUMNS]
     third, fourth = flat[at + width : at + width + COLUMNS], flat[at + width + 1 : at + width + 1 + COLUMNS]
     wa, wb, wc, wd = w[0], w[1], w[2], w[3]
+    bit, easy, slow = np.uint32(1 << arc), np.uint32(1 << (arc + EASY)), _SLOW * time
     for j in range(COLUMNS):
         a, b, c, d = first[j], second[j], third[j], fourth[j]
         x, y = (a if a < b else b), (c if c < d else d)
@@ -59,7 +62,7 @@ def _by_arc(flat: Any, at: int, width: int, w: Any, time: Any, ok: Any, bit: Any
         total = fa + fb + fc + fd
         a, b = (a if a < most else most), (b if b < most else most)
         c, d = (c if c < most else most), (d if d < most else most)
-        found = (fa * a + fb * b + fc * c + fd * d) / total + time
+        found = (fa * a + fb * b + fc * c + fd * d) / total + (time if (ok[j] & easy) != 0 else slow)
         good = (ok[j] & bit) != 0 and total > _LEAST_WEIGHT and found < best[j]
         best[j] = found if good else best[j]
 
@@ -81,7 +84,7 @@ class Sweeps(NamedTuple):
 
     Attributes:
         values: Values by gear, heading, row and column (2, H, R, C) [s].
-        allowed: A bit for each arc that touches nothing (2, H, R, C).
+        allowed: A bit for each free arc, and one for each easy one (2, H, R, C).
         changed: Sweep in which a row of a tile changed last (2, H, R, 1 + tiles beside each other + 1).
         seen: Sweep in which it was evaluated last, likewise.
         keys: The least value that the sweeps of a tile have changed, inf for none (tiles, tiles) [s].
@@ -92,7 +95,7 @@ class Sweeps(NamedTuple):
     """
 
     values: NDArray[np.float32]
-    allowed: NDArray[np.uint16]
+    allowed: NDArray[np.uint32]
     changed: NDArray[np.int32]
     seen: NDArray[np.int32]
     keys: NDArray[np.float32]
@@ -143,7 +146,7 @@ def _sweep(to: Any, arcs: Any, tiles: Any, clock: int) -> None:
                         best[:] = own
                     at = ((gear * headings + end) * height + to_row) * width + left + shift
                     weights, time = arcs.weights[gear, heading, arc], arcs.times[gear, heading, arc]
-                    _by_arc(flat, at, width, weights, time, ok, np.uint16(1 << arc), to.aside, best)
+                    _by_arc(flat, at, width, weights, time, ok, arc, to.aside, best)
                 if started:
                     lowest = _keep(best, own)
                     if lowest < np.inf:
@@ -161,7 +164,7 @@ class Spread:
 
     Args:
         free: Whether the car touches nothing, by state (H, R, C).
-        allowed: A bit for each arc that touches nothing, by state (2, H, R, C).
+        allowed: A bit for each free arc, and one for each easy one, by state (2, H, R, C).
         arcs: The arcs.
         tiling: Tiles of the rows and columns.
         change: Time of a change of gear [s].
@@ -176,7 +179,7 @@ class Spread:
     def __init__(
         self,
         free: NDArray[np.bool_],
-        allowed: NDArray[np.uint16],
+        allowed: NDArray[np.uint32],
         arcs: Arcs,
         tiling: Tiling,
         change: float,
