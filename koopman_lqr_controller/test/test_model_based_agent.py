@@ -115,6 +115,17 @@ def test_goals_are_rewards_of_some_steps_and_the_value_of_what_follows() -> None
     assert 0.0 < error.abs().max() < 0.05, "but for the noise of the target's actions"
 
 
+def test_the_first_reward_waits_for_a_scale_of_its_own() -> None:
+    agent = some_agent()
+    batch = agent._draw(lived(agent), np.random.default_rng(0), None)[1]
+    agent.reward_scale.copy_(torch.tensor([1e-8, 1e-8]))  # all rewards have been zero so far
+    with torch.no_grad():
+        assert not agent._goal(batch._replace(reward=torch.ones_like(batch.reward)), torch.zeros(CONTROLS)).any()
+        agent.reward_scale.copy_(torch.tensor([0.5, 1e-8]))
+        goal = agent._goal(batch._replace(reward=torch.ones_like(batch.reward)), torch.zeros(CONTROLS))
+    assert 1.0 < goal.max() < 10.0, "values learnt so far meant nothing"
+
+
 def test_an_update_trains_all_networks_follows_with_the_average_and_weighs_what_was_drawn() -> None:
     agent = some_agent()
     replay, generator = lived(agent), torch.Generator().manual_seed(0)

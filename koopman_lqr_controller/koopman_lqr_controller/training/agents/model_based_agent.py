@@ -36,7 +36,8 @@ _PRIORITY_POWER = 0.4
 _LEAST_ERROR = 1.0
 """Value error, in units of the reward scale, below which all samples are drawn equally often."""
 _LEAST_REWARD_SCALE = 1e-8
-"""Reward scale while all rewards have been zero, which keeps the first non-zero targets finite."""
+"""Reward scale while all rewards have been zero: the first ones count from the next target update on, with a scale of
+their own, since relative to this one they would ruin the critic."""
 _INPUT_WEIGHT = 1e-5
 """Weight of the squared u before tanh, which keeps u from drifting where tanh is flat."""
 
@@ -184,7 +185,8 @@ class ModelBasedAgent(Agent):
         features = actor.encoder.features(batch.x[:, settings.reward_steps])
         u = (torch.tanh(actor.mean(actor.encoder.latent(features))) + noise).clamp(-1.0, 1.0)
         value = self.target_critic.values(self.target_representation(features, u)).amin(dim=0)
-        return (gained + weight * value * scale_before) / scale
+        goal = (gained + weight * value * scale_before) / scale
+        return torch.where(scale > _LEAST_REWARD_SCALE, goal, torch.zeros_like(goal))
 
     def _learn_law(self, batch: _Batch, features: Tensor) -> None:
         """Train z, A, B, Q and R (or the network in their place) to maximise the values of their actions."""
