@@ -9,7 +9,7 @@ import pytest
 import rclpy
 from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.srv import ChangeState, GetState
-from nav2_client import ABORTED, Nav2Client, pose_at
+from nav2_client import ABORTED, Nav2Client, path_through, pose_at
 from rclpy.node import Node
 
 pytestmark = pytest.mark.realtime
@@ -112,15 +112,29 @@ def test_a_stack_lives_through_200_random_transitions_and_moves_only_while_activ
         assert "Traceback" not in process.output
 
 
-def test_a_managed_navigator_takes_goals_only_while_active_and_forgets_them(run_node: Callable, observer: Node) -> None:
+@pytest.mark.parametrize(
+    ("package", "executable", "words"),
+    [
+        ("ctrl_rl_navigation", "navigator", ()),
+        ("ctrl_rl_core", "policy", ("policy:=corridor_doorways", "follow_path:=true", "pose:=tf")),
+    ],
+)
+def test_a_managed_node_takes_goals_only_while_active_and_forgets_them(
+    run_node: Callable, observer: Node, package: str, executable: str, words: tuple[str, ...]
+) -> None:
     run_node("sim_bridge", "bridge", "task:=curved_corridor", "speed_factor:=2.0")
-    navigator = run_node("ctrl_rl_navigation", "navigator", "managed:=true", "use_sim_time:=true")
-    manager, application = Manager(observer, "navigator", "cmd_vel"), Nav2Client()
-    assert not application.goToPose(pose_at(2.0, 1.2))  # rejected, as by Nav2
+    node = run_node(package, executable, "managed:=true", "use_sim_time:=true", *words)
+    manager, application = Manager(observer, executable, "cmd_vel"), Nav2Client()
+
+    def send() -> bool:
+        path = path_through((0.3, 0.0), (1.5, 0.0))
+        return application.goToPose(pose_at(2.0, 1.2)) if executable == "navigator" else application.followPath(path)
+
+    assert not send()  # rejected, as by Nav2
     manager.change(CONFIGURE)
-    assert not application.goToPose(pose_at(2.0, 1.2))
+    assert not send()
     manager.change(ACTIVATE)
-    assert application.goToPose(pose_at(2.0, 1.2))
+    assert send()
     for _ in range(300):
         spin(observer, 0.1)
         if manager.moves():
@@ -137,5 +151,6 @@ def test_a_managed_navigator_takes_goals_only_while_active_and_forgets_them(run_
     manager.change(ACTIVATE)
     spin(observer, 2.0)
     assert not manager.moves()  # the old goal is forgotten
-    assert navigator.stop()[0] == 0
+    assert node.stop()[0] == 0
+    assert "Traceback" not in node.output
     application.destroy_node()

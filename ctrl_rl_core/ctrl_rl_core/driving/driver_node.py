@@ -83,6 +83,9 @@ class NodeDriver(Driver[Sensors]):
     def on_episode(self, message: EpisodeStatus) -> None:
         """Process the state of the simulated episode."""
 
+    def forget(self) -> None:
+        """Drop what must not go on when an inactive node is activated again, such as a goal."""
+
     def use_parameter(self, name: str) -> None:
         """Apply a changed parameter.
 
@@ -201,6 +204,10 @@ class DriverNode(RobotNode):
         self.driver.use_parameter(name)
         self.robot.use_parameter(name)
         self.robot.set_limits(*self.driver.limits)
+
+    def forget(self) -> None:
+        """Let the driver drop its goal."""
+        self.driver.forget()
 
     def status(self) -> Status:
         """Report whether commands flow, and their latency; a robot stopped at the end of its drive is healthy."""

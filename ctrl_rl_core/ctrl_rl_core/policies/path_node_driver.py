@@ -109,6 +109,11 @@ class PathNodeDriver(NodeDriver):
         """Pass the episode on."""
         self._driver.on_episode(message)
 
+    def forget(self) -> None:
+        """Drop the path."""
+        self._end()
+        self._driver.forget()
+
     def use_parameter(self, name: str) -> None:
         """Pass a changed parameter on."""
         self._driver.use_parameter(name)

@@ -66,6 +66,10 @@ class PolicyNodeDriver(NodeDriver):
             self._episode = message.episode
             self._forget()
 
+    def forget(self) -> None:
+        """Drop the goal."""
+        self._goal = None
+
     def use_parameter(self, name: str) -> None:
         """Load another policy, used from the next scan on.
 
