@@ -48,7 +48,7 @@ def load_onnx_policy(path: Path) -> NetworkPolicy:
             )
         return outputs.reshape(-1).astype(np.float64)
 
-    return NetworkPolicy(manifest, network, manifest.about or "an ONNX model")
+    return NetworkPolicy(manifest, network, manifest.about.rstrip(".") or "an ONNX model")
 
 
 def open_checked(content: bytes, size: int) -> Any:

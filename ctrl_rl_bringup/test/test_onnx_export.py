@@ -96,14 +96,19 @@ def test_a_model_drives_as_its_policy(name, run, tmp_path):
     assert own.outcome == exported.outcome == "GOAL"
 
 
-def test_a_model_that_differs_is_found():
-    pytest.importorskip("onnxruntime")
+@pytest.mark.fault
+def test_a_model_that_differs_is_refused(run, tmp_path, monkeypatch):
     description = describe(find_policy("car_ttr"))
     layers = list(description.network.heads["action"])
     index = max(place for place, layer in enumerate(layers) if isinstance(layer, Dense))
     layers[index] = replace(layers[index], bias=layers[index].bias + 1e-3)
     other = description.network._replace(heads={"action": tuple(layers)})
     assert largest_difference(description, to_onnx(other, "other", {}), count=200) > TOLERANCE
+    monkeypatch.setattr("ctrl_rl_bringup.cli.export.describe", lambda _file: description._replace(network=other))
+    code, _, errors = run("car_ttr", "--onnx")
+    assert code == 1
+    assert errors.startswith("export: car_ttr: its ONNX model differs by ")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_policy_of_ones_own_says_what_was_measured(run, tmp_path):
