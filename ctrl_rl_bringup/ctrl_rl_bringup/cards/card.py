@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import metadata
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
 from ctrl_rl_core.policies import OBSERVATIONS, ScanPart, policy_digest
@@ -82,7 +83,7 @@ class Card:
             yield "command", f"`{training['command']}`"
         yield "policy file", f"SHA-256 {policy_digest(self.file)}"
         yield "ONNX model", self._exactness()
-        yield "licence", str(metadata("ctrl_rl_core")["License"]) if self.shipped else "not stated: its owner's"
+        yield "licence", _licence() if self.shipped else "not stated: its owner's"
 
     def _samples(self) -> str:
         training = self.description.training
@@ -146,6 +147,15 @@ class Card:
         start = "ros2 run ctrl_rl_core policy --ros-args -p policy:="
         own = [f"{start}{self.name}"] if self.shipped else []
         return ["```bash", *own, f"{start}{self.name}.onnx  # with {self.name}.yaml beside it", "```"]
+
+
+def _licence() -> str:
+    """Return the licence of the suite, from the workspace's package or from the wheel."""
+    for package in ("ctrl_rl_core", "ctrl_rl"):
+        with suppress(PackageNotFoundError):
+            found = metadata(package)
+            return str(found.get("License-Expression") or found.get("License"))
+    return NOT_RECORDED
 
 
 def _observation(manifest: PolicyManifest) -> list[str]:
