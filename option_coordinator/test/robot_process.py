@@ -2,6 +2,7 @@
 
 import math
 import sys
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +21,7 @@ class TestRobot(SuiteNode):
         Parameter("lasts", 0.2, "How long each option lasts [s]."),
         Parameter("patience", 1.0, "Until it falls back [s]."),
         Parameter("team", "", "Name of its team."),
+        Parameter("memory", "", "File that keeps it, besides the coordinator.", kind="path"),
         Parameter("keeps", False, "Whether the number of its finished options outlives its process."),
         Parameter("broken", "", "What its observation is.", choices=("", "number", "size")),
     )
@@ -31,7 +33,9 @@ class TestRobot(SuiteNode):
         self.clocks = Clocks(self)
         timeouts = ClientTimeouts(heartbeat=0.05, repeat=0.05, waiting=self.settings["patience"])
         name, team = self.settings["robot"], self.settings["team"]
-        self.agent = OptionAgent(self, name, ("stay", "go", "look"), self, timeouts=timeouts, team=team)
+        memory = Path(self.settings["memory"]) if self.settings["memory"] else None
+        options = ("stay", "go", "look")
+        self.agent = OptionAgent(self, name, options, self, timeouts=timeouts, team=team, memory=memory)
         self.create_timer(0.005, self.work, clock=STEADY)
         self.agent.start()
 

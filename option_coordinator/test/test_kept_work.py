@@ -113,3 +113,17 @@ def test_a_kill_of_both_loses_nothing_that_was_reported_with_a_file(rig, tmp_pat
     rig.coordinator(memory=memory)
     rig.robot("r0", lasts=0.5, keeps=True)
     goes_on(rig, before)
+
+
+def test_what_a_robot_finished_without_a_coordinator_is_in_its_own_file(rig, tmp_path):
+    memory = tmp_path / "robot.sqlite"
+    rig.coordinator()
+    rig.robot("r0", lasts=0.5, keeps=True, memory=memory)
+    before = at_work(rig)
+    rig.kill("coordinator")
+    rig.until(lambda: done(rig)[-1] > before, "it ends its option")
+    before = done(rig)[-1]
+    rig.kill("r0")
+    rig.coordinator()
+    rig.robot("r0", lasts=0.5, keeps=True, memory=memory)
+    goes_on(rig, before)

@@ -5,9 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from option_coordinator.protocol.protocol_types import AgentState, GrantStatus
+from option_coordinator.protocol.work_memory import WorkMemory
 from team import at
 
-from option_coordinator import AgentObservation, ClientTimeouts, Grant, OptionClient, OptionResult, Request, TeamId
+from option_coordinator import (
+    AgentObservation,
+    ClientTimeouts,
+    Grant,
+    OptionClient,
+    OptionError,
+    OptionResult,
+    Request,
+    TeamId,
+)
 
 
 class Log:
@@ -168,6 +178,8 @@ class Carrier(Log):
         return AgentObservation(np.zeros(2), np.ones(3, bool), self.work)
 
     def resume(self, work):
+        if work == "nonsense":
+            raise OptionError("not its work")
         self.work = work
 
 
@@ -182,3 +194,32 @@ def test_a_restarted_robot_takes_over_its_kept_work_before_it_tells_its_own():
     client.on_grant(granted(request_id=2), at(0.4))
     client.on_grant(replace(granted(2, status=GrantStatus.CANCELLED), work="old"), at(0.5))
     assert requests(client.due_messages(at(0.6)))[0].work == "a parcel"
+
+
+@pytest.mark.fault
+def test_a_robot_with_a_file_knows_its_work_until_its_task_is_over(tmp_path):
+    def started():
+        client = OptionClient("r0", ("a", "b", "c"), Carrier(), 7, memory=WorkMemory(tmp_path / "work", "t"))
+        client.ask(at(0.0))
+        return client, requests(client.due_messages(at(0.0)))[0].work
+
+    client, work = started()
+    assert work == ""
+    client.on_grant(granted(), at(0.1))
+    client._executor.work = "a parcel"
+    client.ended(at(0.2))
+    client, work = started()
+    assert work == "a parcel"
+    client.on_grant(granted(), at(0.1))
+    client.ended(at(0.2), terminated=True)
+    client.on_grant(granted(2, status=GrantStatus.REFUSED), at(0.3))
+    assert started()[1] == ""
+
+
+@pytest.mark.fault
+def test_kept_work_that_is_none_is_said_and_not_taken_over():
+    client = OptionClient("r0", ("a", "b", "c"), Carrier(), incarnation=7)
+    client.ask(at(0.0))
+    client.on_grant(replace(granted(epoch=0, status=GrantStatus.REFUSED), work="nonsense"), at(0.1))
+    assert client.problem == "there is kept work that this robot cannot take over: 'nonsense'"
+    assert requests(client.due_messages(at(0.3)))[0].work == ""

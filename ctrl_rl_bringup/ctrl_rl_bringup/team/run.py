@@ -113,7 +113,13 @@ def agents(options: TeamConfig, team: TeamFile) -> list[NodeSpec]:
         "sensor_timeout": min(max(1.0, options.speed), _LONGEST_SENSOR_TIMEOUT),
     }
     return [
-        NodeSpec("option_coordinator", "navigation_agent", parameters, namespace=name, remappings={"cmd_vel": RAW})
+        NodeSpec(
+            "option_coordinator",
+            "navigation_agent",
+            {**parameters, "memory": str((options.folder / f"work_{name}.sqlite").absolute())},
+            namespace=name,
+            remappings={"cmd_vel": RAW},
+        )
         for name in team.robots
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -46,6 +47,12 @@ class NavigationAgent(RobotNode):
         Parameter("team", "delivery_team", "Team that comes with the package, or its .yaml file.", kind="path"),
         Parameter("robot", "", "Name of the robot in the team; empty for the name of its namespace."),
         Parameter("team_namespace", "/", "Namespace of the coordinator's topics.", kind="name"),
+        Parameter(
+            "memory",
+            "",
+            "SQLite file that keeps what the robot carries and has delivered, besides the coordinator; empty for none.",
+            kind="path",
+        ),
         Parameter("sensor_timeout", 1.0, "Age of the last scan or odometry that stops the robot [s].", 0.05, 10.0),
         Parameter("heartbeat", 0.1, "Period of heartbeats, and of repetitions of a request [s].", 0.01, 10.0),
         Parameter("patience", 2.0, "Time without an answer after which the safe option starts [s].", 0.05, 600.0),
@@ -71,8 +78,9 @@ class NavigationAgent(RobotNode):
         beat = settings["heartbeat"]
         patience = ClientTimeouts(heartbeat=beat, repeat=beat, waiting=settings["patience"])
         safe = self._names.index(team.safe_option)
-        identity = TeamId(team.name, team.digest)
-        self._agent = OptionAgent(self, name, self._names, self, safe, patience, settings["team_namespace"], identity)
+        identity, space = TeamId(team.name, team.digest), settings["team_namespace"]
+        memory = Path(settings["memory"]) if settings["memory"] else None
+        self._agent = OptionAgent(self, name, self._names, self, safe, patience, space, identity, memory)
 
     def observe(self) -> AgentObservation:
         """Return the robot's observation and its legal options."""

@@ -18,6 +18,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, ROSClock
@@ -29,6 +30,7 @@ from option_coordinator.protocol.clock_reading import ClockReading, TaskTime
 from option_coordinator.protocol.option_client import ClientTimeouts, OptionClient
 from option_coordinator.protocol.option_executor import OptionExecutor, OptionResult
 from option_coordinator.protocol.protocol_types import AgentState, MessageError, Request, TeamId
+from option_coordinator.protocol.work_memory import WorkMemory
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """Clock for timers that must run while the ROS clock is adjusted or paused."""
@@ -74,6 +76,10 @@ class OptionAgent:
         timeouts: Periods and waiting times; the default ones if omitted.
         namespace: Namespace of the coordinator's topics; the node's own if empty.
         team: Name of the team, and the digest of its file if known; may be empty if the namespace has only one team.
+        memory: SQLite file that keeps the robot's work, see `OptionClient`; none by default.
+
+    Raises:
+        OptionError: The file cannot be used.
 
     Attributes:
         client: Client that talks to the coordinator.
@@ -89,12 +95,14 @@ class OptionAgent:
         timeouts: ClientTimeouts | None = None,
         namespace: str = "",
         team: TeamId | str = "",
+        memory: Path | None = None,
     ) -> None:
         timeouts = timeouts or ClientTimeouts()
         self._now, self._node = Clocks(node), node
         self._said: tuple[str, float] = ("", 0.0)
         # Incarnations of a robot are identified and ordered by their start on the wall clock, which persists.
-        self.client = OptionClient(name, options, executor, time.time_ns(), safe_option, timeouts, team)
+        kept = WorkMemory(memory, team if isinstance(team, str) else team.name)
+        self.client = OptionClient(name, options, executor, time.time_ns(), safe_option, timeouts, team, kept)
         prefix = f"{namespace.rstrip('/')}/" if namespace else ""
         self._requests = node.create_publisher(OptionRequest, f"{prefix}option_requests", EXCHANGE)
         self._statuses = node.create_publisher(AgentStatus, f"{prefix}agent_status", EXCHANGE)

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from option_coordinator.errors import OptionError
 from option_coordinator.protocol.clock_reading import ClockReading
 from option_coordinator.protocol.election import Epochs
 from option_coordinator.protocol.option_executor import OptionExecutor, OptionResult, Resumes
@@ -27,6 +29,7 @@ from option_coordinator.protocol.protocol_types import (
     same_file,
     same_team,
 )
+from option_coordinator.protocol.work_memory import WorkMemory
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class OptionClient:
         safe_option: Index of the option to run while no grant arrives.
         timeouts: Periods and waiting times; the default ones if omitted.
         team: Name and digest of the team; without a name, that of the last accepted grant.
+        memory: File that keeps the work of an executor that `Resumes`, besides the coordinator; none by default.
 
     Attributes:
         state: State reported in heartbeats.
@@ -77,6 +81,7 @@ class OptionClient:
         safe_option: int = 0,
         timeouts: ClientTimeouts | None = None,
         team: TeamId | str = "",
+        memory: WorkMemory | None = None,
     ) -> None:
         self.name, self.incarnation = name, incarnation
         self._options, self._executor, self._safe = tuple(options), executor, safe_option
@@ -88,12 +93,14 @@ class OptionClient:
         self.problem = ""
         self.counts: Counter[str] = Counter()
         self._team = TeamId(team) if isinstance(team, str) else team
-        self._knows_work = False
+        self._knows_work, self._memory = False, memory or WorkMemory()
         self._epochs = Epochs(self._timeouts.waiting)
         self._request: Request | None = None
         self._result = OptionResult()
         self._asked_at = self._began_at = 0.0
         self._request_at = self._status_at = -math.inf
+        if kept := self._memory.of(name):
+            self._resume(kept)
 
     @property
     def epoch(self) -> int:
@@ -107,6 +114,8 @@ class OptionClient:
         self.request_id += 1
         self._asked_at = self._request_at = self._status_at = now.steady
         seen = self._executor.observe()
+        if self._knows_work and not self._memory.keep(self.name, seen.work):
+            self.counts["works not written"] += 1
         self._request = Request(
             stamp=now.stamp,
             agent=self.name,
@@ -228,6 +237,7 @@ class OptionClient:
         self.counts["refused"] += 1
         if self._over:
             self.state, self.finished, self.problem = AgentState.IDLE, True, ""
+            self._memory.forget(self.name)
         elif self._request is not None and grant.coordinator_epoch > self._request.coordinator_epoch:
             self._request_at = now.steady
         else:
@@ -239,12 +249,12 @@ class OptionClient:
             self.state, self._asked_at, self._request_at = state, asked_at, now.steady + self._timeouts.repeat
 
     def _resume(self, work: str) -> None:
-        """Take over the work that the coordinator has kept."""
+        """Take over the work that the coordinator, or a file, has kept."""
+        self.problem = f"there is kept work that this robot cannot take over: {work!r}"
         if isinstance(self._executor, Resumes):
-            self._executor.resume(work)
-            self._knows_work, self.problem = True, ""
-        else:
-            self.problem = f"the coordinator keeps work that this robot cannot take over: {work!r}"
+            with suppress(OptionError):
+                self._executor.resume(work)
+                self._knows_work, self.problem = True, ""
 
     def _fall_back(self) -> None:
         self.state = AgentState.FALLBACK

@@ -51,4 +51,8 @@ class Resumes(Protocol):
     """An executor whose work outlives its process."""
 
     def resume(self, work: str) -> None:
-        """Take over the work that it observed before its restart, see `AgentObservation.work`."""
+        """Take over the work that it observed before its restart, see `AgentObservation.work`.
+
+        Raises:
+            OptionError: The text is not its work.
+        """
