@@ -99,6 +99,7 @@ LONGEST = (
     "test_bag_runs.py",
     "test_filter_trials.py",
     "test_navigator_faults.py",
+    "test_nav_actions.py",
     "test_security_policy.py",
     "test_reward_training.py",
     "test_adapters.py",
