@@ -154,7 +154,7 @@ def _licence() -> str:
     for package in ("ctrl_rl_core", "ctrl_rl"):
         with suppress(PackageNotFoundError):
             found = metadata(package)
-            return str(found.get("License-Expression") or found.get("License"))
+            return str(next(found[key] for key in ("License-Expression", "License") if key in found))
     return NOT_RECORDED
 
 
