@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_safety.filter.certificate import AWAY, MOST_STEPS, nears
 from ctrl_rl_safety.models.car_model import Steered, next_of_car
-from ctrl_rl_safety.models.growth import Growth
+from ctrl_rl_safety.models.growth import Growth, fixed_growth, moving_growth, standing_growth
 from ctrl_rl_safety.models.motion import STANDS, Motion
 from ctrl_rl_safety.sets.distance_field import CAP, FAR, Obstacles, margin_at
 
@@ -63,13 +63,35 @@ def _fastest(sit: Any, state: Any) -> float:
 
 
 @njit
+def _bound(sit: Any, x: float, y: float, theta: float, t: float, rooms: tuple[float, float]) -> float:
+    """Return a lower bound of the margin [m], from the grid's distances at squares that make up the rectangle."""
+    obstacles, growth, (half_length, half_width) = sit.obstacles, sit.growth, sit.core
+    parts = max(1, round(half_length / half_width))
+    extent = math.hypot(half_length / parts, half_width)
+    stays, stands = rooms[0] + fixed_growth(t, growth), rooms[0] + standing_growth(t, growth)
+    moves, least = rooms[1] + moving_growth(t, growth), FAR
+    for part in range(parts):
+        along = (2.0 * part + 1.0 - parts) * half_length / parts
+        column = (x + along * math.cos(theta) - obstacles.x) / obstacles.cell
+        row = (y + along * math.sin(theta) - obstacles.y) / obstacles.cell
+        j, i = math.floor(column + 0.5), math.floor(row + 0.5)
+        if not (0 <= i < len(obstacles.to_fixed) and 0 <= j < len(obstacles.to_fixed)):
+            return -FAR
+        away = math.hypot(column - j, row - i) * obstacles.cell + extent
+        nearest = min(obstacles.to_fixed[i, j] - stays, obstacles.to_standing[i, j] - stands)
+        least = min(least, nearest - away, obstacles.to_moving[i, j] - moves - away)
+    return least
+
+
+@njit
 def car_margin(sit: Any, state: Any, t: float, room: float) -> float:
     """Return the margin of a state at a time since the scan [s]; at rest, approaching obstacles are not counted."""
     x, y = _middle(sit, state)
     speed = _fastest(sit, state)
     slack = room + 0.5 * speed * sit.motion.step
     rooms = (slack, slack if speed >= STANDS else -FAR)
-    return margin_at(sit.obstacles, sit.growth, sit.core, x, y, state[2], t, rooms)
+    bound = _bound(sit, x, y, state[2], t, rooms)
+    return bound if bound >= CAP else margin_at(sit.obstacles, sit.growth, sit.core, x, y, state[2], t, rooms)
 
 
 @njit

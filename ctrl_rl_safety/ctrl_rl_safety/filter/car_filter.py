@@ -23,8 +23,8 @@ from ctrl_rl_safety.sets.recoverable_set import RecoverableSet
 
 Array = NDArray[np.float64]
 
-_SPEEDS = (1.0, 0.7, 0.45, 0.25, 0.1)
-_CURVATURES = (0.0, 0.3, -0.3, 0.7, -0.7, 1.2, -1.2)
+_SPEEDS = (1.0, 0.6, 0.3, 0.1)
+_CURVATURES = (0.0, 0.4, -0.4, 1.0, -1.0)
 """Speeds as fractions of the raw one, and differences of the curvature as fractions of the tightest, of corrections."""
 _TURN_COST = 0.6
 """Cost of the largest difference of the curvature, relative to that of the whole speed."""
