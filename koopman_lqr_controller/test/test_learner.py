@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -16,12 +17,15 @@ from ctrl_rl_learning.study import RunOptions, result_file, run_experiments, tra
 from koopman_lqr_controller.data.roll_outs import evaluate
 from koopman_lqr_controller.errors import KoopmanError
 from koopman_lqr_controller.policies.policy_file import digest, load_policy
+from koopman_lqr_controller.training.agents.learner import ReplayLearner
 from koopman_lqr_controller.training.agents.soft_agent import SoftAgent
 from koopman_lqr_controller.training.consolidation.consolidation_config import REPORT_SEED
 from koopman_lqr_controller.training.environments.benchmark_tasks import BENCHMARK_TASKS
 from koopman_lqr_controller.training.experiments.results import collect_last
 from koopman_lqr_controller.training.experiments.runs import LearningRun
 from koopman_lqr_controller.training.experiments.trainer import POLICY_FILE
+from koopman_lqr_controller.training.replay import Replay
+from koopman_lqr_controller.training.settings import Settings
 from short_suite import STEPS
 
 from ctrl_rl_learning import LearningError
@@ -241,6 +245,36 @@ def test_updates_may_be_many_or_few(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         train(replace(RUN, changes=changes), options(tmp_path, 1))
         assert len(counts) == updates * 5 // every, "20 actions, the first 15 at random"
         counts.clear()
+
+
+@pytest.mark.parametrize(("first", "updates"), [(0, 185), (30, 169), (999, 50)])
+def test_random_actions_go_on_until_the_first_reward_within_a_limit(first: int, updates: int) -> None:
+    class Late(gymnasium.Env[np.ndarray, np.ndarray]):
+        observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        steps = 0
+
+        def reset(self, **_: object) -> tuple[np.ndarray, dict]:
+            return np.zeros(2, np.float32), {}
+
+        def step(self, _: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+            self.steps += 1
+            return np.zeros(2, np.float32), float(self.steps == first + 1), False, self.steps % 50 == 0, {}
+
+    class Counting(ReplayLearner):
+        updates = 0
+
+        def _begin(self, _: np.random.Generator) -> tuple:
+            return lambda _: np.zeros(1, np.float32), self._update
+
+        def _update(self) -> None:
+            self.updates += 1
+
+    problem = replace(BENCHMARK_TASKS["cartpole_swingup"], settings=Settings(first_steps=15), goal=None)
+    learner = Counting(problem, Late(), 0)
+    learner.replay = Replay(500, (2,), 1, np.float32)
+    learner.learn(0, 0, 200, 0)
+    assert learner.updates == updates
 
 
 def test_learning_ends_when_nothing_gets_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,7 +73,7 @@ class Settings:
         batch: Number of steps per update.
         discount: Discount gamma of rewards.
         reward_steps: Number of rewards in a value target before bootstrapping from the target critic.
-        first_steps: Number of random actions before training starts.
+        first_steps: Number of random actions before training starts; up to ten times as many until a reward is not 0.
         replay: Capacity of the replay in steps.
         temperature: Initial temperature alpha.
         deviation: Initial standard deviation of the controls, before tanh.

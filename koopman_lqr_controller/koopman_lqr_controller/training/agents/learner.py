@@ -29,6 +29,9 @@ _ENCODERS = {
 }
 Act = Callable[[NDArray[np.generic]], NDArray[np.float32]]
 
+_UNREWARDED = 10
+"""Factor of the number of random actions while every reward has been zero."""
+
 
 class ReplayLearner(ABC):
     """A learner that stores its steps in a replay, and learns one chunk of a run at a time.
@@ -83,10 +86,11 @@ class ReplayLearner(ABC):
         """
         settings, environment, random = self._settings, self._environment, np.random.default_rng((self._seed, chunk))
         act, update = self._begin(random)
-        begun = 0
+        begun, rewarded = 0, bool(self.replay.everything().reward.any())
         x, _ = environment.reset(seed=int(random.integers(2**31)))
         for step in range(1, actions + 1):
-            learning = done + step > settings.first_steps
+            # A learner that has seen no reward learns to stand still, and explores less than random actions do.
+            learning = done + step > settings.first_steps * (1 if rewarded else _UNREWARDED)
             if act is not None and learning:
                 u = act(x)
             else:
@@ -94,6 +98,7 @@ class ReplayLearner(ABC):
             x_next, reward, terminated, truncated, _ = environment.step(u)
             self._meet(x)
             self.replay.add(x, u, float(reward), bool(terminated))
+            rewarded = rewarded or reward != 0.0
             x = x_next
             ended = terminated or truncated or step == actions
             if ended:
