@@ -168,13 +168,20 @@ class Phases:
         return (settled and self._settle(last, self.scales.tolerance)) or self._give_up()
 
     def _reach_edges(self, found: NDArray[np.bool_], last: SweepSettings) -> bool:
-        """Compute the times of reachable nodes along an edge from fewer neighbours; return whether it converged."""
+        """Compute the times of reachable nodes along an edge from fewer neighbours; return whether it converged.
+
+        Long steps count as well: where the edge runs almost along a row of nodes, a short one ends so close to that row
+        that the reachable nodes beside it have no weight.
+        """
         values = self.sweeper.values
         if not (found & (values == 0.0)).any():
             return True
         self.sweeper.restart(~found | (values > 0.0))
+        self.sweeper.admit_long(True)
         edge = last._replace(enough=_SOME, curved=False)
-        return self._settle(edge, self.scales.tolerance)
+        converged = self._settle(edge, self.scales.tolerance)
+        self.sweeper.admit_long(False)
+        return converged
 
     def _settle(self, settings: SweepSettings, change: float, *, least: int = 1, patient: bool = True) -> bool:
         """Sweep until a sweep changes at most `change` [s]; return whether that happened within the sweep limit.

@@ -37,6 +37,9 @@ class Sweeper(Protocol):
     def restart(self, lost: NDArray[np.bool_] | None = None) -> None:
         """Reset the history because the settings change; the next sweeps leave `lost` nodes unchanged."""
 
+    def admit_long(self, admitted: bool) -> None:
+        """Choose whether long steps may end beside unreachable nodes, as short ones may."""
+
     def cheapen(self, power: float) -> None:
         """Multiply the rate of the transform: raise w at the nodes and the discounts of the steps to a power."""
 
@@ -72,6 +75,7 @@ class _Sweeper:
         self._nodes = Nodes(np.tile(near.values, parts), near.flags, near.outcomes, near.before_row)
         self.values: NDArray[np.float32] = self._nodes.values[: near.values.size]
         self._doubled: list[NDArray[Any]] = [self._nodes.values]
+        self._long = table.long.copy()
 
     def _in_parts(self, kernel: Callable[[int, int], float]) -> float:
         """Return the largest change [s] over the parts, each swept by `kernel(part, parts)`."""
@@ -79,6 +83,9 @@ class _Sweeper:
             for both in self._doubled:
                 both[len(both) // 2 :] = both[: len(both) // 2]
         return float(max(share(kernel, self._parts)))
+
+    def admit_long(self, admitted: bool) -> None:
+        self._table.long[:] = self._long & (not admitted)
 
     def cheapen(self, power: float) -> None:
         self.values **= np.float32(power)

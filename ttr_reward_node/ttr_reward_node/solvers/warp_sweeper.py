@@ -48,7 +48,8 @@ class WarpSweeper:
         self._table, self._shape = Table(), self._kernels.shape()
         self._table.codes, self._table.ends = self._put(table.codes), self._put(table.ends)
         self._table.ranges = self._put(table.ranges if self._rows else np.zeros((1, 1, 1, 2), np.int8))
-        self._table.is_long = self._put(table.long.astype(np.uint8))
+        self._long = table.long
+        self.admit_long(False)
         self._table.discounts, self._host_discounts = self._put(table.discounts), table.discounts
         self._controls, self._game = table.controls, table.controls < table.codes.shape[1]
         self._choices = wp.zeros(near.values.size, dtype=wp.uint16, device=device)
@@ -88,6 +89,10 @@ class WarpSweeper:
         self._seen.zero_()
         mark_lost(self._host_flags, lost)
         self._flags = self._put(self._host_flags)
+
+    def admit_long(self, admitted: bool) -> None:
+        """Choose whether long steps may end beside unreachable nodes, as short ones may."""
+        self._table.is_long = self._put((self._long & (not admitted)).astype(np.uint8))
 
     def cheapen(self, power: float) -> None:
         """Multiply the rate of the transform; done on the host, at most once."""
