@@ -192,6 +192,17 @@ def test_a_certificate_is_kept_in_the_file_and_printed(tmp_path, capsys):
     assert solve(line(), certify=False).certificate is None
 
 
+def test_a_coarse_grid_is_told_with_what_to_change():
+    """Half of the nodes change the times of a coarse grid a lot, and those of a fine one hardly."""
+    counts = (21, 21, 16), (81, 81, 64)
+    free = [replace(problem_from_task("car_ttr", counts=each), clearance=None) for each in counts]
+    coarse, fine = (solve(problem).certificate.grid for problem in free)
+    assert coarse.startswith("on 11 x 11 x 8 nodes in place of 21 x 21 x 16 times differ by ")
+    assert ": solve with more nodes, first along '" in coarse
+    assert fine.endswith("% (median)")
+    assert solve(plane(wall)).certificate.grid == ""  # a coarser grid would close passages
+
+
 @pytest.mark.fault
 @pytest.mark.parametrize(
     "note",

@@ -63,6 +63,7 @@ class Certificate:
         contradictions: Number of backward paths from states that the solution marks unreachable or predicts to take
             much longer.
         doubts: One line per doubt: what is doubtful, where, and what to change.
+        grid: How far the times on a coarser grid differ, in one line with what to change; "" if that is not known.
     """
 
     drives: int
@@ -72,6 +73,7 @@ class Certificate:
     paths: int
     contradictions: int
     doubts: tuple[str, ...] = ()
+    grid: str = ""
 
     @property
     def line(self) -> str:
@@ -104,7 +106,8 @@ class Certificate:
             drives, paths, contradictions = (int(given[name]) for name in ("drives", "paths", "contradictions"))
             if not all(isinstance(doubt, str) for doubt in given["doubts"]):
                 raise TypeError("a doubt is no text")
-            return cls(drives, arrived, median, high, paths, contradictions, tuple(given["doubts"]))
+            grid = str(given.get("grid", ""))
+            return cls(drives, arrived, median, high, paths, contradictions, tuple(given["doubts"]), grid)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise TimeToReachError(
                 f"the value's certificate cannot be read ({error}): solve the task again, which writes a new one"
@@ -172,7 +175,7 @@ def _doubt_of_paths(paths: PathsBack, problem: TimeToReachProblem, value: ValueG
     return (
         f"from {place(problem.system, paths.state)} the target is {paths.possible:.3g} s away, "
         f"but the solution {claim}; {paths.contradictions} of {paths.paths} backward paths contradict it: "
-        f"{_finer(problem)}{other}"
+        f"{finer_advice(problem)}{other}"
     )
 
 
@@ -188,18 +191,18 @@ def _doubt_of_drives(drives: Drives, problem: TimeToReachProblem) -> str:
         return (
             f"only {100 * arrived:.0f} % of {told.sum()} drives arrive; the one from "
             f"{place(problem.system, drives.states[row])} takes over 1.5 times the predicted "
-            f"{drives.promised[row]:.3g} s: {_finer(problem)}"
+            f"{drives.promised[row]:.3g} s: {finer_advice(problem)}"
         )
     ratio = np.median((drives.taken / drives.promised)[arrives])
     steps = np.median(((drives.taken - drives.promised) / drives.step)[arrives])
     if abs(steps) > _STEPS and not _SOONER <= ratio <= _SLOWER:
         longer = "longer" if ratio > 1.0 else "less"
         part = 100 * abs(ratio - 1.0)
-        return f"the median drive takes {part:.0f} % {longer} than the solution predicts: {_finer(problem)}"
+        return f"the median drive takes {part:.0f} % {longer} than the solution predicts: {finer_advice(problem)}"
     return ""
 
 
-def _finer(problem: TimeToReachProblem) -> str:
+def finer_advice(problem: TimeToReachProblem) -> str:
     """Return advice on which axis to refine: the one with the fewest cells overall or across the target."""
 
     def cells(k: int) -> float:

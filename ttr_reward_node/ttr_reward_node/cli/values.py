@@ -267,6 +267,8 @@ def _print_certificate(certificate: Certificate | None) -> None:
     if certificate is None:
         return
     print(f"certified  {certificate.line}")
+    if certificate.grid:
+        print(f"grid       {certificate.grid}")
     for doubt in certificate.doubts:
         print(f"doubt      {doubt}")
 
