@@ -22,6 +22,7 @@ _EACH = 4  # number of states per node of each axis, with random nodes of the ot
 _MOST_CORNERS = 729  # maximum number of states that combine the ends and the middle of each axis
 _ONE_BY_ONE = 8  # number of states also evaluated one at a time
 _SAME = 1e-9  # relative tolerance for equal derivatives
+_SAME_TURN = 1e-2  # the same for derivatives one period on, relative to the largest: 57.3 degrees are nearly a radian
 _FUNCTIONS = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot floor ceil fabs fmod copysign"
 _BRANCH = "a branch is arithmetic: (x[0] > 1) * a + (x[0] <= 1) * b"
 
@@ -54,9 +55,10 @@ def check_equations(system: System, axes: Sequence[Axis]) -> Array:
         Largest absolute derivative found for each state (n,).
 
     Raises:
-        TimeToReachError: The equations are not callable, raise an exception, return a number of derivatives other than
-            the number of states or values that are not finite real numbers, give different results for one state and
-            for many, or ignore a disturbance that has bounds. Names the state and the remedy.
+        TimeToReachError: The equations are not callable, raise an exception, change what they are given, return a
+            number of derivatives other than the number of states or values that are not finite real numbers, give
+            different results for one state and for many, or after one period of a periodic state. Names the state and
+            the remedy.
     """
     states, u, d = _grid_states(axes), _samples(system.control_bounds), _samples(system.disturbance_bounds)
     f = _run(system, lambda: system.equations(np, system.parameters), "cannot be made")
@@ -67,6 +69,7 @@ def check_equations(system: System, axes: Sequence[Axis]) -> Array:
     rates = np.stack([_rates(system, f, states, *pair) for pair in product(u, d)])
     _check_finite(system, states, rates, list(product(u, d)))
     _check_one_by_one(system, f, states, rates, list(product(u, d)))
+    _check_periods(system, axes, f, states, rates, list(product(u, d)))
     return np.asarray(np.abs(rates).max(axis=(0, 1)))
 
 
@@ -100,9 +103,10 @@ def _samples(bounds: Array) -> list[Array]:
 def _rates(system: System, f: Any, states: Array, u: Array, d: Array) -> Array:
     """Evaluate the equations at all states at once, and return the derivatives (k, n)."""
     # Same shapes as in the solvers: states along the first axis, controls along the second.
-    x = tuple(np.moveaxis(states[:, None], -1, 0))
-    given = tuple(np.moveaxis(np.array([u, u]), -1, 0)), tuple(np.moveaxis(np.array([d, d]), -1, 0))
-    found = _run(system, lambda: f(x, *given), "fail")
+    given = states[:, None].copy(), np.array([u, u]), np.array([d, d])
+    for array in given:
+        array.flags.writeable = False  # equations that change what they are given would ruin the solvers' arrays
+    found = _run(system, lambda: f(*(tuple(np.moveaxis(array, -1, 0)) for array in given)), "fail")
     rates = _as_tuple(system, found)
     shape = (len(states), 2)
     columns = [_column(system, k, rate, shape) for k, rate in enumerate(rates)]
@@ -162,6 +166,28 @@ def _check_one_by_one(system: System, f: Any, states: Array, rates: Array, pairs
         )
 
 
+def _check_periods(
+    system: System, axes: Sequence[Axis], f: Any, states: Array, rates: Array, pairs: list[tuple[Array, Array]]
+) -> None:
+    """Reject derivatives that differ one period on: degrees where radians are meant, or a state that counts turns."""
+    for k, axis in enumerate(axes):
+        if not axis.periodic:
+            continue
+        period = axis.upper - axis.lower
+        shifted = states.copy()
+        shifted[:, k] += period
+        with np.errstate(all="ignore"):
+            off = np.abs(np.stack([_rates(system, f, shifted, *pair) for pair in pairs]) - rates)
+        wrong = np.argwhere(~(off <= _SAME_TURN * np.abs(rates).max(axis=(0, 1))))
+        if len(wrong):
+            pair, at, i = wrong[0]
+            raise TimeToReachError(
+                f"{system.name}: '{axis.name}' is periodic, but the derivative of '{system.state_names[i]}' is "
+                f"{rates[pair, at, i]:.4g} at {place(system, states[at])}, and another one a period of {period:.6g} "
+                f"{axis.unit} on: use sin and cos (in radians) of it, or let it be not periodic"
+            )
+
+
 def check_disturbances(system: System, axes: Sequence[Axis]) -> None:
     """Check that every disturbance with bounds acts on a derivative: the equations may have omitted it.
 
@@ -212,6 +238,8 @@ def _hint(error: Exception) -> str:
         return f"; x and u are arrays of many states: {_BRANCH}"
     if isinstance(error, AttributeError) or "scalar" in text or "only " in text or "integer" in text:
         return f"; use the functions of the `math` that is given, which all of its kinds have: {_FUNCTIONS}; {_BRANCH}"
+    if "read-only" in text:
+        return "; f must not change x, u or d: write y = 2 * x[0] in place of x[0] *= 2"
     if isinstance(error, KeyError):
         return " is no parameter of the system"
     if isinstance(error, IndexError):

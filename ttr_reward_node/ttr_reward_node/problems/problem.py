@@ -31,6 +31,7 @@ from ttr_reward_node.problems.control_choice import (
 )
 from ttr_reward_node.problems.dependence import check_game
 from ttr_reward_node.problems.equation_checks import check_disturbances, check_equations
+from ttr_reward_node.problems.jumps import find_jump
 from ttr_reward_node.problems.limits import state_limits, tighter_limits
 from ttr_reward_node.problems.problem_checks import (
     check_axes,
@@ -147,6 +148,11 @@ class TimeToReachProblem:
         """Warning that the controls have too few samples, with a remedy; empty if they have enough."""
         assert self.control_counts is not None
         return control_doubt(self._hulls, self.control_counts, self.control_samples)
+
+    @cached_property
+    def jump(self) -> str:
+        """Name of a state along which a derivative jumps, "" if none does; the solvers take short steps there."""
+        return find_jump(self.system, self.axes)
 
     @cached_property
     def limits(self) -> NDArray[np.float64]:

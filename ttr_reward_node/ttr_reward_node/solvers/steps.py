@@ -165,8 +165,10 @@ def step_lengths(problem: TimeToReachProblem) -> tuple[float, ...]:
     lattice. Each interpolation blurs the value a little, most where the optimal path runs along a kink (a car that
     brakes as late as possible), so long steps increase accuracy; the shortest step resolves the moment to switch. In a
     game, a long step would hold the disturbance longer than is optimal for it; and near obstacles, a robot that follows
-    the values of long steps drives over the edges.
+    the values of long steps drives over the edges. Where a derivative jumps, a long step may leap over the jump.
     """
+    if problem.jump:
+        return (1.0, 2.0)
     game = any(disturbance.lower < disturbance.upper for disturbance in problem.system.disturbances)
     if len(problem.axes) <= FEW_AXES:
         return (2.0, 3.0, 7.0) if game else (2.0, 3.0, 7.0, 15.0)
