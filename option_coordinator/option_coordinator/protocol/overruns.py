@@ -52,7 +52,9 @@ class OverrunLimit:
 
     def allowed(self, agent: Agent, legal: Mask) -> Mask:
         """Return which options to grant (K,), from the legal ones (K,), or (0,) for all."""
-        out = np.ones(len(agent.options), bool) if not np.size(legal) else np.array(legal, bool)
+        out = np.array(legal, bool) if np.size(legal) else np.ones(len(agent.options), bool)
+        if not self._counts.get(agent.name):  # the usual case, for which robots wait
+            return out
         out[self._barred(agent.name)] = False
         last = self._last.get(agent.name)
         if last is not None and out.sum() > 1:
@@ -68,8 +70,7 @@ class OverrunLimit:
             safe: Index of the safe option.
         """
         barred = self._barred(agent.name)
-        left = np.flatnonzero(self.allowed(agent, legal))
-        if not barred or (left != safe).any():
+        if not barred or (np.flatnonzero(self.allowed(agent, legal)) != safe).any():
             return ""
         names = ", ".join(f"'{agent.options[option]}'" for option in barred)
         return (
