@@ -26,6 +26,8 @@ _BAND_FROM = 10
 _POINTS_TO = 2
 """Maximum number of seeds drawn as points; too few for a mean line."""
 _COLUMNS = 3
+_PANELS = 4
+"""Largest number of panels side by side in which a title of two short lines fits."""
 _RESAMPLES = 1000
 _NAME_LENGTH = 26
 _MARKERS = "osD^v"
@@ -199,11 +201,17 @@ def draw_ends(
         path: File to write.
         title: Title; a sentence that states the finding.
         ends: Values of the seeds, by method and then by learner.
-        labels: Labels of the methods, at most three, each with its own panel.
+        labels: Short labels of the methods, at most four, each with its own panel.
         measure: Measured quantity with its unit.
         decimals: Decimals of the means.
+
+    Raises:
+        ValueError: There are more methods than panels.
     """
-    methods = [method for method in ends if method in labels][:_COLUMNS]
+    methods = [method for method in ends if method in labels]
+    if len(methods) > _PANELS:
+        raise ValueError(f"{len(methods)} methods to draw: at most {_PANELS}")
+    gap = "\n" if len(methods) > _COLUMNS else " "
     learnt = list(dict.fromkeys(name for method in methods for name in ends[method]))
     learnt.sort(key=lambda name: -sum(float(np.mean(ends[method].get(name, 0.0))) for method in methods))
     taken: dict[str, Style] = {}
@@ -213,7 +221,7 @@ def draw_ends(
         for ax, method in zip(axes[0], methods, strict=True):
             taken[method] = style_of(method, taken)
             counts = {len(values) for values in ends[method].values()}
-            ax.set_title(f"{labels[method]} (n = {'–'.join(map(str, sorted(counts)))})")
+            ax.set_title(f"{labels[method]}{gap}(n = {'–'.join(map(str, sorted(counts)))})")
             ax.grid(visible=False)
             for row, name in enumerate(learnt):
                 values = np.asarray(ends[method].get(name, ()), dtype=float)

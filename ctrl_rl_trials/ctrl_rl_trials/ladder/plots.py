@@ -11,7 +11,6 @@ from ctrl_rl_core.plots import DANGER, Panel, draw_ends, draw_learning, draw_map
 from matplotlib.patches import Rectangle
 
 from ctrl_rl_core import NavigationTask
-from ctrl_rl_trials.shaping.variants import WAYS
 
 _COMPARED = {
     "best_progress": "best progress",
@@ -51,7 +50,7 @@ def draw_ladder(figures: Mapping[str, Any], learner: str, folder: Path) -> list[
     ]  # fmt: skip
     out = [folder / f"ladder_{learner}.svg", folder / f"ladder_{learner}_ends.svg"]
     draw_learning(out[0], title, panels)
-    draw_ends(out[1], title, ends, {way: WAYS[way].label if len(name) < 9 else name for way, name in compared.items()})
+    draw_ends(out[1], title, ends, compared)
     return out
 
 
