@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from option_coordinator.protocol.overruns import OverrunLimit, exceeds
+from option_coordinator.protocol.overruns import OverrunLimit
 from option_coordinator.protocol.protocol_types import GrantStatus
 from team import TIMES, uniform
 from test_coordination import START, OneClock, request, running
@@ -14,16 +14,21 @@ AGENT = Agent("r0", ("wait", "go", "look"), 2)
 WAIT, GO, LOOK = range(3)
 
 
+def end(limit, option, overran):
+    limit.began("r0", option, 10.0)
+    limit.ended("r0", option, 70.0 if overran else 30.0, 60.0)
+
+
 def allowed(limit, legal=()):
     return np.flatnonzero(limit.allowed(AGENT, np.array(legal, bool))).tolist()
 
 
 def test_an_option_that_just_overran_is_not_the_next_one_if_there_is_another():
     limit = OverrunLimit(3)
-    limit.record("r0", GO, overran=True)
+    end(limit, GO, True)
     assert allowed(limit) == [WAIT, LOOK]
     assert allowed(limit, [0, 1, 0]) == [GO]
-    limit.record("r0", WAIT, overran=False)
+    end(limit, WAIT, False)
     assert allowed(limit) == [WAIT, GO, LOOK]
 
 
@@ -31,8 +36,8 @@ def test_an_option_that_overran_too_often_in_a_row_is_barred_until_the_robot_res
     limit = OverrunLimit(2)
     for overran in (True, False, True, True):
         assert GO in allowed(limit, [0, 1, 0])
-        limit.record("r0", GO, overran)
-        limit.record("r0", WAIT, overran=False)
+        end(limit, GO, overran)
+        end(limit, WAIT, False)
     assert allowed(limit) == [WAIT, LOOK]
     assert limit.verdict(AGENT, np.zeros(0), WAIT) == ""
     assert "r0 is given up: it exceeded the maximum duration of 'go' 2 times" in limit.verdict(AGENT, [1, 1, 0], WAIT)
@@ -43,13 +48,24 @@ def test_an_option_that_overran_too_often_in_a_row_is_barred_until_the_robot_res
 def test_without_a_limit_nothing_is_barred():
     limit = OverrunLimit(0)
     for _ in range(20):
-        limit.record("r0", GO, overran=True)
+        end(limit, GO, True)
     assert limit.verdict(AGENT, [1, 1, 0], WAIT) == ""
 
 
 def test_a_robot_that_ends_an_option_at_its_own_deadline_overran_it():
-    assert exceeds(59.9, 60.0)
-    assert not exceeds(58.0, 60.0)
+    """Its clock may be a little ahead of the coordinator's."""
+    limit = OverrunLimit(1)
+    limit.began("r0", GO, 10.0)
+    limit.ended("r0", GO, 69.5, 60.0)
+    assert allowed(limit) == [WAIT, LOOK]
+
+
+def test_an_option_that_was_only_claimed_to_run_bars_nothing():
+    limit = OverrunLimit(1)
+    limit.ended("r0", GO, 1e6, 60.0)
+    limit.began("r0", LOOK, 10.0)
+    limit.ended("r0", GO, 1e6, 60.0)
+    assert allowed(limit) == [WAIT, GO, LOOK]
 
 
 def coordinator(robots, most):

@@ -26,7 +26,7 @@ from option_coordinator.protocol.grants import (
     standing_grant,
 )
 from option_coordinator.protocol.ledger import RobotState, State, all_wait, any_at_work
-from option_coordinator.protocol.overruns import OverrunLimit, exceeds
+from option_coordinator.protocol.overruns import OverrunLimit
 from option_coordinator.protocol.protocol_types import (
     AgentState,
     Answers,
@@ -204,8 +204,7 @@ class Coordinator(Replica):
         if entry.option == NONE:
             return
         longest = self._robots[entry.agent].durations[entry.option]
-        overran = entry.cancelled or exceeds(now.task - entry.granted_at, longest)
-        self._overruns.record(entry.agent, entry.option, overran)
+        self._overruns.ended(entry.agent, entry.option, now.task, longest)
         if not self._recorder.credit(request.option_reward, entry.granted_at, longest):
             self.counts["rewards too large"] += 1
 
@@ -285,6 +284,7 @@ class Coordinator(Replica):
                 grants += self._refuse(request, now, NOTHING_SAFE).grants
                 continue
             entry.grant(self.epoch, option, now.task, now.stamp)
+            self._overruns.began(name, option, now.task)
             entry.repeat_at = now.steady + self._timeouts.repeat
             running[index] = option
             grants.append(self._grant_of(entry, now))

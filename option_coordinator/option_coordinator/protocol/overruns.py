@@ -16,13 +16,10 @@ _SLACK = 0.02
 """A robot may end an overrun option this much earlier by the coordinator's clock [maximum durations]."""
 
 
-def exceeds(elapsed: float, longest: float) -> bool:
-    """Return whether an option that ran for a time [s] used up its maximum duration [s]."""
-    return elapsed >= (1.0 - _SLACK) * longest
-
-
 class OverrunLimit:
-    """Counts each robot's consecutive overruns of each option.
+    """Counts each robot's consecutive overruns of each option that this coordinator has granted.
+
+    Options that a message only claims to be running do not count, so that a forged one bars nothing.
 
     An option that has just overrun is not granted in the robot's next decision if another one is legal; after `most`
     overruns in a row it is not granted to that robot again.
@@ -35,11 +32,17 @@ class OverrunLimit:
         self._most = most
         self._counts: dict[str, dict[int, int]] = defaultdict(dict)
         self._last: dict[str, int] = {}
+        self._granted: dict[str, tuple[int, float]] = {}
 
-    def record(self, agent: str, option: int, overran: bool) -> None:
-        """Record how an option of a robot ended."""
+    def began(self, agent: str, option: int, now: float) -> None:
+        """Record that a robot was granted an option at a time [s]."""
+        self._granted[agent] = option, now
+
+    def ended(self, agent: str, option: int, now: float, longest: float) -> None:
+        """Record that an option of a robot with this maximum duration [s] ended at a time [s]."""
+        granted, began = self._granted.pop(agent, (option, now))
         self._last.pop(agent, None)
-        if not overran:
+        if granted != option or now - began < (1.0 - _SLACK) * longest:
             self._counts[agent].pop(option, None)
             return
         self._counts[agent][option] = self._counts[agent].get(option, 0) + 1
@@ -47,8 +50,8 @@ class OverrunLimit:
 
     def forget(self, agent: str) -> None:
         """Start again for a robot whose process was restarted."""
-        self._counts.pop(agent, None)
-        self._last.pop(agent, None)
+        for known in (self._counts, self._last, self._granted):
+            known.pop(agent, None)
 
     def allowed(self, agent: Agent, legal: Mask) -> Mask:
         """Return which options to grant (K,), from the legal ones (K,), or (0,) for all."""
