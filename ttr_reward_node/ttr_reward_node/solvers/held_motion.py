@@ -185,10 +185,10 @@ class Block:
         pairs = len(self._derivatives.pairs.u)
         at = np.flatnonzero(self._state != DONE)
         for turn in range(_HALVINGS):
-            starts = self.starts._replace(
-                **{name: getattr(self.starts, name)[..., at] for name in ("x", "below", "above", "first", "longest")}
-            )
-            h, move, state = self._h[at], self._move[:, at], self._state[at]
+            names = "x", "below", "above", "first", "longest"
+            # np.take keeps the order in memory for which the kernels are compiled; an index would transpose it.
+            starts = self.starts._replace(**{name: np.take(getattr(self.starts, name), at, axis=-1) for name in names})
+            h, move, state = self._h[at], np.take(self._move, at, axis=1), self._state[at]
             second, third, stage = np.empty((3, *move.shape))
             bent, work = np.empty((2, len(at)))
             correct_durations(starts, move, cells, state, h, stage, work)
