@@ -50,6 +50,18 @@ def test_somebody_who_goes_away_or_comes_straight_on_moves_too() -> None:
         np.testing.assert_allclose(row[2:4], (speed, 0.0), atol=0.12)
 
 
+@pytest.mark.parametrize("scale", [0.95, 1.05])
+def test_posts_stand_where_the_odometry_says_too_little_or_too_much_of_a_turn(scale: float) -> None:
+    tracker = Tracker()
+    posts = np.array([(x, y) for x in (1.5, 3.0) for y in (-1.5, 0.0, 1.5)])
+    for step in range(60):
+        wrong = (scale - 1.0) * 0.2 * step  # of a robot that turns at 2 rad/s
+        c, s = math.cos(wrong), math.sin(wrong)
+        origin, ends, echoes = look(*(posts @ np.array(((c, s), (-s, c)))).tolist(), radius=0.15)
+        moves = tracker.update(0.1 * step, origin, ends, echoes, 0.2 * step * scale)
+        assert not moves.any(), step
+
+
 def test_posts_stand_however_the_robot_drives_past_them() -> None:
     tracker, random = Tracker(), np.random.default_rng(0)
     posts = [(x, y) for x in (1.0, 2.0, 3.0) for y in (-1.0, 0.8)]

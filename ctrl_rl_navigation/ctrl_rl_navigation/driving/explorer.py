@@ -102,7 +102,7 @@ class Explorer:
         """Record the command actually sent; acceleration limits apply relative to this command."""
         self._command = np.array(command, np.float64)
 
-    def see(self, now: float, origin: Array, ends: Array, echoes: NDArray[np.bool_]) -> None:
+    def see(self, now: float, origin: Array, ends: Array, echoes: NDArray[np.bool_], heading: float = 0.0) -> None:
         """Add a scan to the map, except for moving obstacles.
 
         Args:
@@ -110,9 +110,10 @@ class Explorer:
             origin: Position of the lidar (2,) [m].
             ends: End points of the beams, in beam order (n, 2) [m].
             echoes: Whether each beam hit something (n,).
+            heading: Heading of the robot by its odometry [rad].
         """
         self._seen, stands = True, echoes.copy()
-        stands[echoes] = ~self._tracker.update(now, origin, ends, echoes)
+        stands[echoes] = ~self._tracker.update(now, origin, ends, echoes, heading)
         self._echoes = ends[stands]
         self._map.see(origin, ends, stands)
 

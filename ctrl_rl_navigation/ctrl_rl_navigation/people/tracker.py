@@ -84,7 +84,7 @@ class Track:
     paced_at: float = -math.inf
     votes: int = 0
     misses: int = 0
-    echoes: deque[tuple[float, Array]] = field(default_factory=deque)
+    echoes: deque[tuple[float, Array, float]] = field(default_factory=deque)
 
     def advance(self, now: float) -> None:
         """Predict the state at a time [s]."""
@@ -95,8 +95,8 @@ class Track:
         noise = _UNSTEADY * np.array(((dt**3 / 3.0, dt**2 / 2.0), (dt**2 / 2.0, dt)))
         self.covariance = move @ self.covariance @ move.T + noise
 
-    def take(self, now: float, disc: Disc) -> None:
-        """Correct the state by a measurement."""
+    def take(self, now: float, disc: Disc, turned: float) -> None:
+        """Correct the state by a measurement, after the robot has turned by some angle in all [rad]."""
         noise = _PARTLY if disc.partly else _NOISE
         error = disc.centre(self.radius) - self.state[0]
         if error @ error > _GATE**2 * (self.covariance[0, 0] + noise**2):  # it turned or stopped: its velocity is new
@@ -108,7 +108,7 @@ class Track:
         if not disc.partly or disc.radius > self.radius:
             self.radius += _SMOOTH * (disc.radius - self.radius)
         self.seen_at, self.misses = now, 0
-        self.echoes.append((now, disc.echoes))
+        self.echoes.append((now, disc.echoes, turned))
         while now - self.echoes[0][0] > _WINDOW:
             self.echoes.popleft()
 
@@ -144,14 +144,14 @@ class Tracker:
         self._tracks: list[Track] = []
         self._free: deque[SeenFree] = deque()
         self._background: deque[SeenFree] = deque()
-        self._now = -math.inf
+        self._now, self._turned, self._heading = -math.inf, 0.0, 0.0
 
     def movers(self) -> Array:
         """Return the predictions of all movers (m, 9), see `movers`, at the time of the last scan."""
         rows = [track.rows(self._now) for track in self._tracks]
         return np.concatenate(rows) if rows else np.empty((0, COLUMNS))
 
-    def update(self, now: float, origin: Array, ends: Array, echoes: Mask) -> Mask:
+    def update(self, now: float, origin: Array, ends: Array, echoes: Mask, heading: float = 0.0) -> Mask:
         """Process a scan, and return which of its echoes are those of movers (number of echoes,).
 
         Args:
@@ -160,22 +160,24 @@ class Tracker:
             ends: End points of the beams, in beam order (n, 2) [m]; that of a beam without a measurement lies close to
                 the lidar.
             echoes: Whether each beam hit something (n,).
+            heading: Heading of the robot by its odometry [rad].
         """
         if now <= self._now:
             self._tracks, self._free, self._background = [], deque(), deque()
-        self._now = now
-        free = SeenFree(now, origin, ends)
+        self._turned += abs(math.remainder(heading - self._heading, 2.0 * math.pi))
+        self._now, self._heading = now, heading
+        free = SeenFree(now, origin, ends, self._turned)
         self._free.append(free)
         while now - self._free[0].time > _WINDOW:
             self._free.popleft()
         points = ends[echoes]
         fresh = np.zeros(len(points), np.bool_)
         for each in self._background:
-            fresh |= each.shows_free(points)
+            fresh |= each.shows_free(points, turned=self._turned)
         self._keep(free)
         moves = np.zeros(len(points), np.bool_)
         for track, disc in self._assign(now, discs_of(origin, ends, echoes, fresh)):
-            track.take(now, disc)
+            track.take(now, disc, self._turned)
             track.watch(now, self._changed(track, disc, free))
             moves[disc.members] = len(track.rows(now)) > 0
         self._drop(now, free)
@@ -214,8 +216,9 @@ class Tracker:
 
     def _changed(self, track: Track, disc: Disc, free: SeenFree) -> bool:
         """Return whether a disc is where beams passed a moment ago, or beams pass where it was."""
-        came = self._free[0].shows_free(disc.echoes).mean()
-        left = free.shows_free(track.echoes[0][1]).mean()
+        came = self._free[0].shows_free(disc.echoes, turned=self._turned).mean()
+        _, echoes, turned = track.echoes[0]
+        left = free.shows_free(echoes, turned=turned).mean()
         return bool(max(came, left) >= _SHARE)
 
     def _drop(self, now: float, free: SeenFree) -> None:

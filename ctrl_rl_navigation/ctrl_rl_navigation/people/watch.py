@@ -40,7 +40,7 @@ class Watch:
         origin = np.array((x + self._lidar_x * math.cos(yaw), y + self._lidar_x * math.sin(yaw)))
         ends = origin + reached[:, None] * np.column_stack((np.cos(bearings), np.sin(bearings)))
         self._seen_at = sensors.time
-        return self._tracker.update(sensors.time, origin, ends, np.isfinite(ranges))
+        return self._tracker.update(sensors.time, origin, ends, np.isfinite(ranges), yaw)
 
     def movers(self, sensors: Sensors) -> Array:
         """Return the predictions of all movers in the frame of the sensors' pose (m, 9), at their time."""

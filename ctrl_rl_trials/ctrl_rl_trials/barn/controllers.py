@@ -119,7 +119,7 @@ class ExplorerDriver:
     def command(self, sensors: Sensors) -> Array:  # noqa: D102 - see Driver
         assert sensors.pose is not None, "odometry is the pose"
         self._explorer.sent(sensors.command)
-        self._explorer.see(sensors.time, *_placed(sensors))
+        self._explorer.see(sensors.time, *_placed(sensors), heading=float(sensors.pose[2]))
         return self._explorer.decide(sensors.time, sensors.pose)
 
 
