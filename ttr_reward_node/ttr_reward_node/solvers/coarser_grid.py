@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import Axis, Interval, Region, ValueGrid
 from ttr_reward_node.errors import TimeToReachError
-from ttr_reward_node.problems.problem import TimeToReachProblem
+from ttr_reward_node.problems.problem import Clearance, TimeToReachProblem
 from ttr_reward_node.problems.problem_checks import least_count
-from ttr_reward_node.solvers.refinement import refine
+from ttr_reward_node.solvers.refinement import between, refine
 
 _STATES = 2000
 _EXACT = 0.01  # median relative difference of the times below which nothing is advised
@@ -22,22 +22,34 @@ _CELLS = 2.0  # distance from the target below which times are as small as the e
 def coarser_problem(problem: TimeToReachProblem, finer: int) -> TimeToReachProblem | None:
     """Return the problem on a grid with about twice the spacing of the one that was solved.
 
-    None if every axis has the minimum number of nodes, or there are obstacles: a coarser grid closes passages.
+    None if every axis has the minimum number of nodes. A coarser grid closes narrow passages.
 
     Args:
         problem: Problem as posed.
         finer: Number of cells into which the solver split each of its cells along each axis.
     """
-    if problem.clearance is not None:
-        return None
     if finer > 1:
         return refine(problem, finer // 2)
     counts = [max(least_count(axis.periodic), (axis.count + 1) // 2) for axis in problem.axes]
     axes = tuple(replace(axis, count=min(axis.count, count)) for axis, count in zip(problem.axes, counts, strict=True))
+    if axes == problem.axes:
+        return None
+    clearance = problem.clearance
+    if clearance is not None:
+        values = clearance.values
+        for i, k in enumerate(clearance.axes):
+            values = between(values, i, problem.axes[k], _places(problem.axes[k], axes[k].count))
+        clearance = Clearance(clearance.axes, np.ascontiguousarray(values, dtype=np.float32))
     try:
-        return None if axes == problem.axes else replace(problem, axes=axes, digest="")
+        return replace(problem, axes=axes, clearance=clearance, digest="")
     except TimeToReachError:  # the target or a limit lies between two nodes
         return None
+
+
+def _places(axis: Axis, count: int) -> NDArray[np.float64]:
+    """Return where the nodes of the axis with another count lie [nodes]."""
+    end = axis.count if axis.periodic else axis.count - 1
+    return np.linspace(0.0, end, count, endpoint=not axis.periodic)
 
 
 def grid_note(problem: TimeToReachProblem, value: ValueGrid, coarser: ValueGrid, finer: int, advice: str) -> str:

@@ -48,7 +48,7 @@ def refine(problem: TimeToReachProblem, finer: int) -> TimeToReachProblem:
     if clearance is not None:
         values = clearance.values
         for i, k in enumerate(clearance.axes):
-            values = _between(values, i, problem.axes[k], finer)
+            values = between(values, i, problem.axes[k], np.arange(_count(problem.axes[k], finer)) / finer)
         clearance = Clearance(clearance.axes, np.ascontiguousarray(values, dtype=np.float32))
     return replace(problem, axes=axes, clearance=clearance)
 
@@ -64,9 +64,8 @@ def _count(axis: Axis, finer: int) -> int:
     return axis.count * finer if axis.periodic else (axis.count - 1) * finer + 1
 
 
-def _between(values: NDArray[np.float32], i: int, axis: Axis, finer: int) -> NDArray[np.float32]:
-    """Interpolate values linearly along array axis i to the finer axis, as for obstacles between nodes in general."""
-    place = np.arange(_count(axis, finer)) / finer
+def between(values: NDArray[np.float32], i: int, axis: Axis, place: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Interpolate values linearly along array axis i to places [nodes], as for obstacles between nodes in general."""
     lower = np.minimum(place.astype(np.int64), axis.count - 1 if axis.periodic else axis.count - 2)
     share = (place - lower).astype(np.float32).reshape((-1,) + (1,) * (values.ndim - 1 - i))
     upper = (lower + 1) % axis.count

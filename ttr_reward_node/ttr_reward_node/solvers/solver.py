@@ -64,7 +64,7 @@ def solve(
             semi-Lagrangian method has not yet found a time of the right magnitude.
         progress: Function called after each sweep with its number and the largest change [s].
         certify: Whether to certify the solution, which takes a tenth of a second or a few per cent of the time, and to
-            solve it again on about half of the nodes along each axis, without obstacles. Each doubt is issued as a
+            solve it again on about half of the nodes along each axis. Each doubt is issued as a
             DoubtfulValueWarning, and recorded in the solution's certificate.
         finer: Number of cells into which each grid cell is split along each axis while solving; the result contains the
             values at the original nodes. Default: up to 4 on two axes if that costs about a second; otherwise 1.
