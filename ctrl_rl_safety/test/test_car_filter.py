@@ -230,3 +230,12 @@ def test_the_monitor_of_a_car_finds_a_longer_delay_and_no_fault_in_turns() -> No
             monitor.measure(time, np.array(state[:3]), state[3], state[3] * math.tan(state[4]) / stated.wheelbase)
         assert monitor.problem == ""
         assert (monitor.model.delay >= stated.delay + 0.25) == (late > 0.0)
+
+
+def test_echoes_of_its_own_wheels_do_not_stop_a_car() -> None:
+    model = car("road_car")
+    wheels = np.array([(model.wheelbase, side * 0.65) for side in (-1.0, 1.0)])
+    safety = make_filter(model)
+    for now in (0.0, 0.1):
+        safety.see(now, np.zeros(3), np.concatenate((wheels, wall(40.0))))
+    assert safety.decide(0.1, Reading(np.zeros(3), 0.0, 0.0), np.array((1.0, 0.0))).mode is Mode.PASSED

@@ -205,6 +205,9 @@ class CarLookAhead:
         """Return the distances around the car to the echoes of a scan (rows, columns) [cells]."""
         from scipy.ndimage import distance_transform_edt  # slow import
 
+        limits = self._limits
+        half = np.array((0.5 * limits.length, 0.5 * limits.width)) - limits.margin
+        points = points[(np.abs(points - (limits.centre, 0.0)) >= half).any(axis=1)]  # a lidar may see its own wheels
         cells = np.rint(points / self._cell).astype(np.int64) + (self._cells - 1) // 2
         cells = cells[((cells >= 0) & (cells < self._cells)).all(axis=1)]
         empty = np.full((self._cells, self._cells), True)

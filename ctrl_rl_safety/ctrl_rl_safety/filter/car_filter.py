@@ -68,7 +68,10 @@ class CarFilter(SafetyFilter):
             beams = beams._replace(ends=beams.ends - (ahead, 0.0), forward=beams.forward - ahead)
         if sight is not None:
             sight = sight._replace(forward=sight.forward - ahead)
-        super().see(now, middle, echoes - (ahead, 0.0), age, fixed, sight, beams)
+        echoes = echoes - (ahead, 0.0)
+        inside = np.array(self.model.core) - self.model.range_error
+        echoes = echoes[(np.abs(echoes) >= inside).any(axis=1)]  # a lidar may see its own wheels
+        super().see(now, middle, echoes, age, fixed, sight, beams)
 
     def solve(self) -> RecoverableSet | None:
         """Return None: a car has one escape."""
