@@ -51,7 +51,7 @@ def test_where_every_door_is_closed_it_says_so_and_stands() -> None:
     assert outcome.seconds < 150.0
 
 
-@pytest.mark.parametrize(("method", "seed"), [("a way round", 100), ("a way round", 101), ("every way closed", 100)])
+@pytest.mark.parametrize(("method", "seed"), [("a way round", 7), ("a way round", 101), ("every way closed", 100)])
 def test_drives_on_drawn_floors_are_good(method: str, seed: int) -> None:
     trial = run(method, seed)
     assert trial.is_good, trial
