@@ -10,11 +10,11 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.filter.certificate import AWAY, Situation, Sooner, best_turn, certify, hold, hopeless
-from ctrl_rl_safety.filter.manoeuvres import around, manoeuvre, stopping_time
-from ctrl_rl_safety.models.growth import Growth, fixed_growth, standing_growth
+from ctrl_rl_safety.filter.certificate import AWAY, Sooner, best_turn, certify, hold, hopeless
+from ctrl_rl_safety.filter.manoeuvres import manoeuvre
+from ctrl_rl_safety.filter.situations import after, from_here, local, smaller
 from ctrl_rl_safety.models.motion import STANDS
-from ctrl_rl_safety.sets.distance_field import CAP, FAR, margin_at
+from ctrl_rl_safety.sets.distance_field import FAR
 from ctrl_rl_safety.sets.recoverable_set import value_at
 
 Array = NDArray[np.float64]
@@ -221,67 +221,6 @@ def _braking(sit: Any, ask: Any, state: tuple[float, float, float, float, float]
 
 
 @njit
-def _changed(sit: Any, growth: Any, core: tuple[float, float], rooms: tuple[float, float], close: bool) -> Any:
-    """Return a situation with other motion bounds and another robot; `_replace` is unavailable in compiled code."""
-    return Situation(
-        sit.obstacles, growth, sit.motion, sit.guide, core, rooms, close, sit.hold, sit.turn_rate, sit.lag, sit.sooner
-    )
-
-
-@njit
-def _from_here(sit: Any, x: float, y: float, theta: float, t: float) -> Any:
-    """Return the situation relative to the robot's present clearance, if that is less than required.
-
-    The disturbance is then omitted: a robot at rest must be able to turn and to move to more open space.
-    """
-    room = sit.rooms[1]
-    if margin_at(sit.obstacles, sit.growth, sit.core, x, y, theta, t, (room, -FAR)) >= 0.0:
-        return sit
-    growth = Growth(0.0, sit.growth.mover_speed, 0.0, 0.0)
-    gap = margin_at(sit.obstacles, growth, sit.core, x, y, theta, 0.0, (room, -FAR))
-    return _changed(sit, growth, sit.core, (room + min(gap - 2.0 * AWAY, 0.0), room), True)
-
-
-@njit
-def _local(sit: Any, ask: Any, state: tuple[float, float, float, float, float], t: float) -> Any:
-    """Return the situation without static echoes that the robot hardly comes near before it has stopped.
-
-    Searching in it takes a fraction of the time. What is found is certified among all echoes.
-    """
-    longest = max(ask.patience, sit.hold) * sit.motion.step
-    fastest = max(abs(state[3]), min(abs(state[3]) + ask.acceleration * longest, max(ask.fastest, -ask.slowest)))
-    stop = stopping_time(fastest, ask.braking, sit.lag)
-    way = fastest * (longest + sit.lag + 0.5 * stop + sit.motion.step)
-    extent = sit.rooms[0] + math.hypot(sit.core[0], sit.core[1])
-    grown = max(fixed_growth(t + longest + stop, sit.growth), standing_growth(t + longest + stop, sit.growth))
-    near = around(sit.obstacles, state[0], state[1], way + extent + grown + 2.0 * CAP)
-    return Situation(
-        near,
-        sit.growth,
-        sit.motion,
-        sit.guide,
-        sit.core,
-        sit.rooms,
-        sit.close,
-        sit.hold,
-        sit.turn_rate,
-        sit.lag,
-        sit.sooner,
-    )
-
-
-@njit
-def _smaller(sit: Any, by: float) -> Any:
-    """Return the situation of a robot that is smaller by a distance on each side [m]."""
-    core, rooms = sit.core, sit.rooms
-    if core[0] > 0.0:
-        core = (max(core[0] - by, AWAY), max(core[1] - by, AWAY))
-    else:
-        rooms = (rooms[0] - by, rooms[1] - by)
-    return _changed(sit, sit.growth, core, rooms, sit.close)
-
-
-@njit
 def _needs_escape(sit: Any, ask: Any, state: tuple[float, float, float, float, float]) -> bool:
     """Return whether the previous certified escape must be kept; a disc at rest needs none."""
     return not math.isnan(ask.escape) and (sit.core[0] > 0.0 or abs(state[3]) >= STANDS)
@@ -295,24 +234,6 @@ def _follow(sit: Any, state: tuple[float, float, float, float, float], t: float,
         state, t, margin = hold(sit, state, t, commands[k, 0], commands[k, 1], 1)
         least = min(least, margin)
     return state, t, least
-
-
-@njit
-def _after(sit: Any, sooner: Any) -> Any:
-    """Return the situation of a robot whose commands may act sooner as well."""
-    return Situation(
-        sit.obstacles,
-        sit.growth,
-        sit.motion,
-        sit.guide,
-        sit.core,
-        sit.rooms,
-        sit.close,
-        sit.hold,
-        sit.turn_rate,
-        sit.lag,
-        sooner,
-    )
 
 
 @cached_njit
@@ -331,11 +252,11 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array, sooner: 
     early, early_t, early_first = _follow(sit, state, t, sooner)
     state, t, first = _follow(sit, state, t, commands)
     if len(sooner) < len(commands):
-        sit, first = _after(sit, Sooner(True, early, early_t)), min(first, early_first)
+        sit, first = after(sit, Sooner(True, early, early_t)), min(first, early_first)
     guide, value = sit.guide, math.nan
     if guide.ready:
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])
-    seen, sit = sit, _from_here(sit, state[0], state[1], state[2], t)
+    seen, sit = sit, from_here(sit, state[0], state[1], state[2], t)
     again = ask.corrected and abs(ask.raw[0]) >= STANDS
     extra, steps = (ask.hysteresis, ask.patience) if again else (0.0, sit.hold)
     margin, kind = certify(sit, state, t, ask.raw, steps, ask.first, extra)
@@ -346,7 +267,7 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array, sooner: 
         if margin >= 0.0:
             return Answer(0.0, ask.turn, UNBLOCKING, min(margin, first), value, kind, state)
     way = manoeuvre(sit, ask, state, t)
-    near = _local(sit, ask, state, t)
+    near = local(sit, ask, state, t)
     v, omega, margin, kind = _nearest(near, ask, state, t, (way.v, way.omega), way.clear)
     if margin >= 0.0:
         margin, kind = certify(sit, state, t, (v, omega), sit.hold, kind, 0.0)
@@ -355,7 +276,7 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array, sooner: 
     v, omega, margin, kind = _braking(near, ask, state, t)
     margin, kind = certify(sit, state, t, (v, omega), sit.hold, kind, max(margin, 0.0))
     if min(margin, first) < 0.0 and _needs_escape(sit, ask, state):
-        found, which = certify(_smaller(seen, ask.noise), state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
+        found, which = certify(smaller(seen, ask.noise), state, t, (0.0, ask.escape), sit.hold, ask.first, FAR)
         if found >= 0.0:  # otherwise a bound is violated, and the escape is invalid
             omega, margin, kind = ask.escape, min(found - ask.noise, -AWAY), which
     return Answer(v, omega, ESCAPING, min(margin, first), value, kind, state)
