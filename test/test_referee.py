@@ -24,7 +24,7 @@ from referee.plain import plain_times
 from ctrl_rl_core import Axis, Interval, Quantity, Region
 from ttr_reward_node import TimeToReachProblem
 
-COUNT = 2 * len(FAMILIES)
+COUNT = len(FAMILIES)
 ALL = 200
 MISSES = {
     "turning": "without a control the blur of interpolation reaches orbits that pass the target by",
