@@ -10,9 +10,10 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_safety.filter.certificate import AWAY, Sooner, best_turn, certify, hold, hopeless
+from ctrl_rl_safety.filter.certificate import AWAY, best_turn, certify, hold, hopeless
+from ctrl_rl_safety.filter.derived_situations import after, from_here, local, smaller
 from ctrl_rl_safety.filter.manoeuvres import manoeuvre
-from ctrl_rl_safety.filter.situations import after, from_here, local, smaller
+from ctrl_rl_safety.filter.situation import Sooner
 from ctrl_rl_safety.models.motion import STANDS
 from ctrl_rl_safety.sets.distance_field import FAR
 from ctrl_rl_safety.sets.recoverable_set import value_at

@@ -7,7 +7,8 @@ from typing import Any
 from ctrl_rl_core.values import cached_njit
 from numba import njit
 
-from ctrl_rl_safety.filter.certificate import Situation, certify, hold
+from ctrl_rl_safety.filter.certificate import certify, hold
+from ctrl_rl_safety.filter.situation import Situation
 from ctrl_rl_safety.models.growth import Growth, moving_growth
 from ctrl_rl_safety.sets.distance_field import FAR, margin_at
 

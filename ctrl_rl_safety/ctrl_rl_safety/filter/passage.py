@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
-from ctrl_rl_safety.filter.certificate import NO_GUIDE, Situation, certify
+from ctrl_rl_safety.filter.certificate import certify
 from ctrl_rl_safety.filter.safety_filter import STEP
+from ctrl_rl_safety.filter.situation import NO_GUIDE, Situation
 from ctrl_rl_safety.filter.verdict import FilterOptions
 from ctrl_rl_safety.models.growth import Growth
 from ctrl_rl_safety.models.motion import motion_of

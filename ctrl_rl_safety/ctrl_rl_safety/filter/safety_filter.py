@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from ctrl_rl_safety.errors import SafetyError
 from ctrl_rl_safety.filter.answer import PASSED, Answer, Request, answer
-from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, NO_GUIDE, Guide, Situation, escape_path
+from ctrl_rl_safety.filter.certificate import FAMILY, MOST_STEPS, escape_path
 from ctrl_rl_safety.filter.echoes import SAME, EchoMemory, moved, surfaces, thinned
 from ctrl_rl_safety.filter.evading import AHEAD, LONGER, evade
 from ctrl_rl_safety.filter.evidence import Beams, EchoEvidence, beams_from, kinds_of
 from ctrl_rl_safety.filter.local_grid import grid_around
 from ctrl_rl_safety.filter.map_walls import Fixed
 from ctrl_rl_safety.filter.seen_space import SeenSpace, Sight
+from ctrl_rl_safety.filter.situation import NO_GUIDE, Guide, Situation
 from ctrl_rl_safety.filter.unblocking import Unblocking
 from ctrl_rl_safety.filter.verdict import FilterOptions, Mode, Reading, Verdict
 from ctrl_rl_safety.filter.walls import Walls

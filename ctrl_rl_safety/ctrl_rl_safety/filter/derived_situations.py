@@ -7,8 +7,9 @@ from typing import Any
 
 from numba import njit
 
-from ctrl_rl_safety.filter.certificate import AWAY, Situation
+from ctrl_rl_safety.filter.certificate import AWAY
 from ctrl_rl_safety.filter.manoeuvres import around, stopping_time
+from ctrl_rl_safety.filter.situation import Situation
 from ctrl_rl_safety.models.growth import Growth, fixed_growth, standing_growth
 from ctrl_rl_safety.sets.distance_field import CAP, FAR, margin_at
 
