@@ -250,10 +250,11 @@ def answer(sit: Any, ask: Any, begin: Array, t: float, commands: Array, sooner: 
         sooner: The same for the shortest delay that the robot may have (m, 2); m = n where the delay is known.
     """
     state = (begin[0], begin[1], begin[2], begin[3], begin[4])
-    early, early_t, early_first = _follow(sit, state, t, sooner)
-    state, t, first = _follow(sit, state, t, commands)
+    later, later_t, first = _follow(sit, state, t, commands)
     if len(sooner) < len(commands):
+        early, early_t, early_first = _follow(sit, state, t, sooner)
         sit, first = after(sit, Sooner(True, early, early_t)), min(first, early_first)
+    state, t = later, later_t
     guide, value = sit.guide, math.nan
     if guide.ready:
         value = value_at(guide.values, guide.x, guide.y, guide.cell, guide.top, state[0], state[1], state[2], state[3])

@@ -71,7 +71,8 @@ class SafetyFilter:
         """
         self.options = value = options or FilterOptions()
         self.reach = 0.0
-        self.adopt(model)
+        self._use_model(model)
+        self._soonest = model.delay
         self._hold = max(1, math.ceil(value.period / STEP))
         # A corner of a rectangle may dip into a surface by half the spacing of its points.
         self._side = max(model.range_error if model.length else _SIDE * model.radius, _LEAST_SIDE)
@@ -99,7 +100,12 @@ class SafetyFilter:
         Raises:
             SafetyError: The robot brakes too slowly for a certificate to cover its stop.
         """
+        if model != self.model:
+            self._use_model(model)
         self._soonest = model.delay if soonest is None else min(soonest, model.delay)
+
+    def _use_model(self, model: RobotModel) -> None:
+        """Compute what follows from a model, which takes longer than an odometry message may."""
         braking = max(model.speed, model.reverse_speed) / model.braking + _LAGS * model.lag
         if braking > STEP * MOST_STEPS:
             raise SafetyError(f"{model.name} takes {braking:.0f} s to brake: at most {STEP * MOST_STEPS:.0f} s")
@@ -235,7 +241,8 @@ class SafetyFilter:
         age = now - reading.age - seen_at
         situation = self._situation(now, obstacles)
         under_way = self._under_way(now, reading.age, self.model.delay)
-        sooner = self._under_way(now, reading.age, self._soonest)
+        known = self._soonest == self.model.delay
+        sooner = under_way if known else self._under_way(now, reading.age, self._soonest)
         found = Answer(*answer(situation, ask, state, age, under_way, sooner))
         if self.options.evade and abs(found.v) < STANDS:
             ahead = LONGER if self._evading else AHEAD
