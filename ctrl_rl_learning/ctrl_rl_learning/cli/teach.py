@@ -15,8 +15,6 @@ from ctrl_rl_learning.study.run import RunOptions
 
 _ITERATION = 4000
 _FINAL_EVALUATIONS = 40
-_CLUTTERED = 4
-"""Factor of the evaluations where there are as many kinds of corridors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,10 +45,11 @@ def _teach(options: Teach) -> int:
     task = load_navigation_task(options.task)
     require("ctrl_rl_learning teach", task)
     # Torch takes seconds to import: wait until the arguments are valid.
+    from ctrl_rl_learning.dagger.clutter import KINDS
     from ctrl_rl_learning.dagger.run import TaughtRun, collect
 
     runs = [TaughtRun(options.task, seed, options.clutter) for seed in range(options.seeds)]
-    evaluations = _FINAL_EVALUATIONS * (_CLUTTERED if options.clutter else 1)
+    evaluations = _FINAL_EVALUATIONS * (len(KINDS) if options.clutter else 1)
     how = RunOptions(options.folder, math.ceil(options.samples / _ITERATION), _ITERATION, 0, evaluations)
     train_and_collect(options, task, runs, "teaching", collect, how)
     return 0
