@@ -49,7 +49,7 @@ def test_whatever_makes_sense_brings_every_parcel(scripted):
 
 
 def test_the_scripted_policy_is_a_baseline_worth_beating():
-    """It is well ahead of random options; going to any free station, as it did before, was not."""
+    """It is much quicker than random options, which going to any free station was not."""
     environment = make_environment("delivery_team")
     choosers = scripted_policy(environment), RandomPolicy(0)
     scripted, random = (summary(list(play_episodes(environment, each, range(5)))) for each in choosers)

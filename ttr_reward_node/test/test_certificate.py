@@ -194,7 +194,7 @@ def test_a_certificate_is_kept_in_the_file_and_printed(tmp_path, capsys):
 
 
 def test_a_coarse_grid_is_told_with_what_to_change():
-    """Half of the nodes change the times of a coarse grid a lot, and those of a fine one hardly."""
+    """With half the nodes, the times change a lot on a coarse grid and hardly on a fine one."""
     counts = (21, 21, 16), (81, 81, 64)
     free = [replace(problem_from_task("car_ttr", counts=each), clearance=None) for each in counts]
     coarse, fine = (solve(problem).certificate.grid for problem in free)
