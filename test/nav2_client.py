@@ -54,9 +54,15 @@ class Nav2Client(Node):
             if self.heard is heard:  # not of a goal before
                 self.feedback = message.feedback
 
-        future = client.send_goal_async(goal, on_feedback)
-        rclpy.spin_until_future_complete(self, future, timeout_sec=60.0)
+        for _ in range(6):
+            future = client.send_goal_async(goal, on_feedback)
+            rclpy.spin_until_future_complete(self, future, timeout_sec=10.0)
+            if future.done():
+                break
+            # `wait_for_server` tells that this client has found the server. The server may not have found this client
+            # yet, and then the middleware drops the answer. The goal that is sent again replaces the one before.
         self.goal_handle = future.result()
+        assert self.goal_handle is not None, "no answer to a goal in 60 s"
         if not self.goal_handle.accepted:
             return False
         self.result = self.goal_handle.get_result_async()
