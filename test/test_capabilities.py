@@ -1,7 +1,6 @@
 """What the table of capabilities says holds: a command starts on a task that it takes, and refuses others."""
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ sys.path.append(str(ROOT / "scripts" / "reference"))
 from capabilities import MAP, TEAM, capability_page, examples, load
 
 KINDS = ("arena, wheels", "arena, quadrotor", "corridor", "corridor, doorways", "jars or tools", MAP, TEAM)
-NO_BAG = "no_such_bag"
+CELLS = [(name, kind) for name in COMMANDS for kind in KINDS]
 LINES = {
     "ctrl_rl_bringup demo": "demo --task {task} --policy no_such_policy --output {folder}/run",
     "ctrl_rl_bringup trials": "trials --task {task} --policy no_such_policy --output {folder}/run --seeds 1",
@@ -56,10 +55,6 @@ def tasks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return examples(tmp_path_factory.mktemp("tasks"))
 
 
-def cells() -> Iterator[tuple[str, str]]:
-    return ((name, kind) for name in COMMANDS for kind in KINDS)
-
-
 def run(name: str, task: str, folder: Path) -> tuple[int, str]:
     """Run a command; return its exit code and what it said on stderr."""
     package, _, _ = name.partition(" ")
@@ -78,7 +73,7 @@ def test_the_page_has_a_row_for_each_command_and_a_column_for_each_kind() -> Non
     assert f"| command | {' | '.join(dict.fromkeys(KINDS))} |" in page
 
 
-@pytest.mark.parametrize(("name", "kind"), cells())
+@pytest.mark.parametrize(("name", "kind"), CELLS)
 def test_a_command_refuses_what_the_table_says(name: str, kind: str, tasks: dict[str, str], tmp_path: Path) -> None:
     reason = can(name, load(kind, tasks[kind]))
     if not reason:
@@ -91,7 +86,7 @@ def test_a_command_refuses_what_the_table_says(name: str, kind: str, tasks: dict
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "kind"), cells())
+@pytest.mark.parametrize(("name", "kind"), CELLS)
 def test_a_command_starts_where_the_table_says(name: str, kind: str, tasks: dict[str, str], tmp_path: Path) -> None:
     if can(name, load(kind, tasks[kind])):
         pytest.skip("the table says that it refuses")
