@@ -18,6 +18,7 @@ from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent / "test"))  # parts that tests of all packages use lie there
 
+import durations
 from forked_workers import pytest_xdist_setupnodes as pytest_xdist_setupnodes
 from preloaded import Preloaded
 
@@ -41,82 +42,20 @@ _GOODBYE_S = 0.1
 """Until a test's own node has heard that the others are gone: the middleware may crash where it is to end meanwhile."""
 
 
-LONGEST = (
-    "test_referee.py",
-    "test_capabilities.py",
-    "test_pages.py",
-    "test_advice.py",
-    "test_wheel.py",
-    "test_notebooks.py",
-    "test_front_door.py",
-    "test_time_to_reach_reward.py",
-    "test_robot_env.py",
-    "test_hostile_nodes.py",
-    "test_nodes.py",
-    "test_demo.py",
-    "test_process_faults.py",
-    "test_consolidation.py",
-    "test_options_demo.py",
-    "test_learner.py",
-    "test_onnx_export.py",
-    "test_training.py",
-    "test_watchdog_node.py",
-    "test_flight_guard_node.py",
-    "test_memory.py",
-    "test_policy_demo.py",
-    "test_oc_mpc.py",
-    "test_oc_warm_start.py",
-    "test_faults.py",
-    "test_preflight.py",
-    "test_oc_value_data.py",
-    "test_oc_training.py",
-    "test_controller_node.py",
-    "test_safety_filter.py",
-    "test_interruption.py",
-    "test_oc_maze.py",
-    "test_certificate.py",
-    "test_oc_singular_models.py",
-    "test_oc_circle.py",
-    "test_accuracy.py",
-    "test_options_loop.py",
-    "test_kept_work.py",
-    "test_team_digest.py",
-    "test_solver.py",
-    "test_offline_learning.py",
-    "test_world.py",
-    "test_bag_cli.py",
-    "test_oc_cli.py",
-    "test_arrival.py",
-    "test_recorder_load.py",
-    "test_learning.py",
-    "test_controller_guards.py",
-    "test_oc_shortest_path.py",
-    "test_recorder.py",
-    "test_oc_value_fit.py",
-    "test_node.py",
-    "test_examples.py",
-    "test_oc_analysis.py",
-    "test_bag_runs.py",
-    "test_filter_trials.py",
-    "test_navigator_faults.py",
-    "test_nav_actions.py",
-    "test_security_policy.py",
-    "test_reward_training.py",
-    "test_adapters.py",
-    "test_baselines.py",
-    "test_broken_scans.py",
-    "test_behaviour.py",
-    "test_policy_node.py",
-    "test_air3d.py",
-    "test_barn_drives.py",
-)
-"""Files of twelve seconds and more in the whole run, longest first: a long one begun last leaves cores idle."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that keeps what files take."""
+    parser.addoption("--record-durations", action="store_true", help="keep what files take, to order later runs")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Record durations where asked to, but not in each of the processes that run tests side by side."""
+    if config.getoption("--record-durations") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(durations.Recorder())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Bring the longest files first; processes take whole files, in this order."""
-    places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path.name, len(places)))
+    durations.longest_first(items)
 
 
 class NodeProcess:
