@@ -28,7 +28,8 @@ LINES = {
     "ctrl_rl_trials hardness": "hardness {task} --values {folder}",
     "ctrl_rl_trials loop": "loop --tasks {task} --seeds 1 --rounds 1 --episodes 5 --tests 1 --updates 5 --methods bc "
     "--folder {folder}",
-    "ctrl_rl_trials correlation": "correlation --task {task} --seeds 1 --episodes 5 --tests 1 --folder {folder}",
+    "ctrl_rl_trials correlation": "correlation --task {task} --seeds 1 --episodes 5 --tests 1 --updates 5 "
+    "--folder {folder}",
     "koopman_lqr_controller edmd": "edmd no_such_bag --task {task} --output {folder}/policy.safetensors",
     "koopman_lqr_controller train": "train --task {task} --samples 100 --folder {folder}",
     "oc_baseline_node oc data": "oc data {task} --trajectories 1 --output {folder}/data --workers 1",

@@ -1,14 +1,16 @@
 """The closed loop of drives and bags, and whether estimates agree with what is then driven."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ctrl_rl_learning.offline import solvable
 from ctrl_rl_trials.offline.closed_loop import LoopSettings, run_loop
-from ctrl_rl_trials.offline.correlation import agreements
+from ctrl_rl_trials.offline.correlation import CANDIDATES, CorrelationSettings, agreements
 
 from ctrl_rl_core import load_navigation_task, task_digest
+from ctrl_rl_learning import LearningError
 from ttr_reward_node import problem_from_task, solve
 
 TASK = load_navigation_task("car_navigation")
@@ -23,6 +25,13 @@ def test_agreement_counts_order_and_what_the_choice_loses() -> None:
     assert agreement.correlation[1] == pytest.approx(1.0)
     low, high = agreement.interval
     assert low < agreement.correlation.mean() <= high <= 1.0 + 1e-9
+
+
+def test_a_quick_trial_compares_each_policy_once() -> None:
+    assert CorrelationSettings().candidates == CANDIDATES
+    quick = CorrelationSettings(updates=5).candidates
+    assert len({each.name for each in quick}) == len(quick) < len(CANDIDATES)
+    assert {each.method for each in quick} == {each.method for each in CANDIDATES}
 
 
 def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path: Path) -> None:
@@ -41,3 +50,6 @@ def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path: Path) -> None:
     policy = (tmp_path / "run" / "round_1" / "policy.safetensors").stat()
     assert run_loop(TASK, tmp_path / "run", settings, tmp_path / "values", said.append) == first
     assert (tmp_path / "run" / "round_1" / "policy.safetensors").stat() == policy
+    # Rounds of other settings are not taken for those of this call.
+    with pytest.raises(LearningError, match="run: was made with tests 3, now it is 4: use another folder"):
+        run_loop(TASK, tmp_path / "run", replace(settings, tests=4), tmp_path / "values", said.append)

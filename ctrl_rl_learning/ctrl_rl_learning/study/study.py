@@ -17,6 +17,7 @@ from ctrl_rl_core.io import raise_as, read_json, with_digest
 
 from ctrl_rl_core import atomic_write
 from ctrl_rl_learning.errors import LearningError
+from ctrl_rl_learning.study.run import check_same
 
 
 class Study:
@@ -48,6 +49,17 @@ class Study:
         with raise_as(LearningError, file, "delete it to repeat the step"):
             found: dict[str, Any] = read_json(file)
         return found
+
+    def require_same(self, settings: Mapping[str, Any]) -> None:
+        """Store the study's settings, or check that its finished steps had the same.
+
+        Args:
+            settings: JSON values of the settings on which the steps' results depend, by name.
+
+        Raises:
+            LearningError: A setting differs from that of an earlier call; its file is damaged.
+        """
+        check_same(self.folder, self.once("settings", lambda: settings), settings)
 
     def rounds(self, count: int, work: Callable[[int, Path], Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
         """Yield the results of rounds 0 to `count`; `work` gets each round's number and its own folder."""

@@ -25,7 +25,7 @@ _NAMES = {
 class CorrelationOptions:
     """Train eighteen policies of varying quality, predict their returns from bags, and correlate with driven returns.
 
-    An interrupted call resumes.
+    An interrupted call resumes. A folder of a call with other settings is refused.
     """
 
     task: str = "car_navigation"
@@ -36,6 +36,8 @@ class CorrelationOptions:
     """Number of episodes in each seed's bag."""
     tests: Positive = 100
     """Number of test episodes per policy."""
+    updates: Positive = 3000
+    """Maximum number of updates of a policy and of a prediction; fewer than 3000 give a quick trial."""
     folder: FolderToWrite = Path("runs/offline_correlation")
     """Folder of bags, policies and predictions."""
     results: OptionalFileToWrite = None
@@ -47,7 +49,8 @@ def _correlation(options: CorrelationOptions) -> int:
     require("ctrl_rl_trials correlation", task)
     from ctrl_rl_trials.offline.correlation import CorrelationSettings, agreements, compare
 
-    settings = CorrelationSettings(options.seeds, options.episodes, options.tests)
+    fit_updates = min(options.updates, CorrelationSettings.fit_updates)
+    settings = CorrelationSettings(options.seeds, options.episodes, options.tests, options.updates, fit_updates)
     found = compare(task, options.folder, settings, print)
     rows = []
     agreed = agreements(found)

@@ -7,7 +7,7 @@ the new policy with some noise. An interrupted run resumes after its last finish
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -31,7 +31,7 @@ from ctrl_rl_learning.offline import (
 )
 from ctrl_rl_learning.study import Study
 
-from ctrl_rl_core import Actor, NavigationTask, ValueFunction, load_policy
+from ctrl_rl_core import Actor, NavigationTask, ValueFunction, load_policy, task_digest
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
 DISCOUNT = 0.99
@@ -81,8 +81,11 @@ def run_loop(
         tell: Callback for a line about each round.
 
     Raises:
-        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
+        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged, or that
+            call had other settings than a number of rounds.
     """
+    study = Study(folder)
+    study.require_same({"task": task_digest(task)} | asdict(replace(settings, rounds=0)))
     function = load_value(find_time_to_reach(task, values_folder))
     values = load_values(TIME_TO_REACH, task, values_folder, clearance_of(task, settings.clearance))
     bags = [folder / f"round_{number}" / "labelled" for number in range(settings.rounds + 1)]
@@ -100,7 +103,7 @@ def run_loop(
         }
 
     rounds = []
-    for found in Study(folder).rounds(settings.rounds, play):
+    for found in study.rounds(settings.rounds, play):
         tell(f"round {found['round']}: success {np.mean(found['success']):.2f}{_told(found)}")
         rounds.append(found)
     return rounds

@@ -6,7 +6,7 @@ The policies learn from the bags of one seed. Each seed's own bags give a predic
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from ctrl_rl_learning.offline import (
 from ctrl_rl_learning.study import Study
 from numpy.typing import NDArray
 
-from ctrl_rl_core import Actor, NavigationTask, load_policy
+from ctrl_rl_core import Actor, NavigationTask, load_policy, task_digest
 from ctrl_rl_trials.offline.closed_loop import DISCOUNT
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
@@ -56,6 +56,10 @@ class Candidate:
     def name(self) -> str:
         """Name of the policy's file."""
         return "-".join(filter(None, (self.method, self.value, str(self.updates), str(self.temperature))))
+
+    def within(self, updates: int) -> Candidate:
+        """Return the candidate with at most a given number of updates."""
+        return replace(self, updates=min(self.updates, updates))
 
 
 CANDIDATES = (
@@ -88,6 +92,7 @@ class CorrelationSettings:
         seeds: Number of seeds.
         episodes: Number of episodes in each seed's bag.
         tests: Number of test episodes per policy.
+        updates: Maximum number of updates of a policy; candidates that differ in no other way become one.
         fit_updates: Number of updates of the offline evaluation.
         fits: Number of fits of the offline evaluation.
         engine: Name of the physics engine, one of `sim_bridge.ENGINES`.
@@ -96,9 +101,15 @@ class CorrelationSettings:
     seeds: int = 5
     episodes: int = 150
     tests: int = 100
+    updates: int = max(each.updates for each in CANDIDATES)
     fit_updates: int = 1000
     fits: int = 1
     engine: str = "planar"
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Policies to compare."""
+        return tuple(dict.fromkeys(each.within(self.updates) for each in CANDIDATES))
 
 
 def compare(
@@ -113,19 +124,22 @@ def compare(
         tell: Callback for a line about each policy.
 
     Raises:
-        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged.
+        CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged, or that
+            call had other settings than a number of seeds.
     """
+    Study(folder).require_same({"task": task_digest(task)} | asdict(replace(settings, seeds=0)))
     values = load_values(TIME_TO_REACH, task, folder / "values")
     bags = [_bag(task, folder, seed, settings) for seed in range(settings.seeds)]
     learnt_from = load_transitions(bags[:1], task)
-    driven = [_drive(task, folder, each, learnt_from, settings, tell) for each in CANDIDATES]
+    candidates = settings.candidates
+    driven = [_drive(task, folder, each, learnt_from, settings, tell) for each in candidates]
     predicted = []
     for seed, bag in enumerate(bags):
         transitions = learnt_from if seed == 0 else load_transitions([bag], task)
         predicted.append(
-            [_predict(task, folder, each, seed, transitions, values, settings, tell) for each in CANDIDATES]
+            [_predict(task, folder, each, seed, transitions, values, settings, tell) for each in candidates]
         )
-    return {"policies": [each.name for each in CANDIDATES], "driven": driven, "predicted": predicted}
+    return {"policies": [each.name for each in candidates], "driven": driven, "predicted": predicted}
 
 
 class Agreement(NamedTuple):

@@ -7,7 +7,7 @@ of its policy. An interrupted run continues where it stopped.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, NamedTuple
@@ -115,8 +115,11 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
         tell: Called with a line about each round.
 
     Raises:
-        CtrlRlError: The task does not exist, a file of an earlier call is damaged, or writing fails.
+        CtrlRlError: The task does not exist, a file of an earlier call is damaged, that call had other settings than a
+            number of rounds, or writing fails.
     """
+    study = Study(folder)
+    study.require_same({"task": task} | asdict(replace(settings, rounds=0)))
     bags = [folder / f"round_{number}" / "bag" for number in range(settings.rounds + 1)]
 
     def work(number: int, here: Path) -> dict[str, Any]:
@@ -132,7 +135,7 @@ def run_loop(task: str, folder: Path, settings: LoopSettings, tell: Callable[[st
         return result | {**summary(tested), "returns": [episode.returned for episode in tested]}
 
     rounds = []
-    for told in Study(folder).rounds(settings.rounds, work):
+    for told in study.rounds(settings.rounds, work):
         rounds.append(told)
         word = "" if "better" not in told else f", {'' if told['better'] else 'not '}called better before"
         tell(
