@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 from commands import command
-from ctrl_rl_core.tasks import COMMANDS, can
+from ctrl_rl_core.tasks import COMMANDS, can, unmet
 from pages import ROOT
+
+from ctrl_rl_core import load_navigation_task
 
 sys.path.append(str(ROOT / "scripts" / "reference"))
 
@@ -84,6 +86,16 @@ def test_a_command_refuses_what_the_table_says(name: str, kind: str, tasks: dict
     (line,) = said.splitlines()
     # A team file is no task file: the readers of both say so in words of their own.
     assert reason in line or (kind == TEAM and "delivery_team" in line) or "no team" in line or "team_delivery" in line
+
+
+@pytest.mark.parametrize(("name", "kind"), CELLS)
+def test_a_part_that_the_table_names_is_all_that_a_task_lacks(name: str, kind: str, tasks: dict[str, str]) -> None:
+    task = load(kind, tasks[kind])
+    need = unmet(name, task)
+    if need is None or not need.part:
+        pytest.skip("the table names no part")
+    whole = load_navigation_task("curved_corridor")
+    assert can(name, task.model_copy(update={need.part: getattr(whole, need.part)})) == ""
 
 
 @pytest.mark.slow

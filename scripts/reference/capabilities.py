@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -62,14 +63,20 @@ def capability_page() -> str:
 def _page(tasks: Mapping[str, TaskHeader]) -> str:
     lines = [_HEAD, f"| command | {' | '.join(tasks)} |", "|---" * (len(tasks) + 1) + "|"]
     reasons: dict[str, list[str]] = {}
+    uses = Counter(_executable(command) for command in COMMANDS)
     for command in COMMANDS:
-        cells = []
+        cells, short = [], _executable(command)
         for task in tasks.values():
             need = unmet(command, task)
             cells.append("yes" if need is None else f"`{need.part}`" if need.part else "no")
             if need is not None:
-                reasons.setdefault(need.lacks(task), []).append(f"`{command.split(' ', 1)[1]}`")
+                reasons.setdefault(need.lacks(task), []).append(f"`{command if uses[short] > 1 else short}`")
         lines.append(f"| `{command}` | {' | '.join(cells)} |")
     lines += ["", "## Reasons", "", "A task that ...", "", "| | is refused by |", "|---|---|"]
     lines += [f"| {reason} | {', '.join(dict.fromkeys(names))} |" for reason, names in reasons.items()]
     return "\n".join(lines) + "\n"
+
+
+def _executable(command: str) -> str:
+    """Return a command without its package."""
+    return command.split(" ", 1)[1]

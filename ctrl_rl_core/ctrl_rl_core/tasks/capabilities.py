@@ -131,7 +131,7 @@ COMMANDS: Mapping[str, tuple[Need, ...]] = {
     "oc_baseline_node oc data": (OPTIMAL_CONTROL, NO_MAP),
     "oc_baseline_node train": (OPEN, OPTIMAL_CONTROL, NO_MAP),
     "option_coordinator train": (OPTIONS,),
-    "ttr_reward_node solve": (GRID,),
+    "ttr_reward_node solve": (NAVIGATION, GRID),
     "ttr_reward_node train": (OPEN,),
     "ttr_reward_node evaluate": (OPEN,),
 }
@@ -139,12 +139,14 @@ COMMANDS: Mapping[str, tuple[Need, ...]] = {
 
 
 def unmet(command: str, task: TaskHeader) -> Need | None:
-    """Return the first requirement of a command that a task does not meet, or None.
+    """Return a requirement of a command that a task does not meet, or None.
+
+    A requirement that no part of the task file would fix comes first: the part would not help.
 
     Raises:
         KeyError: The command is not in the table.
     """
-    return next((need for need in COMMANDS[command] if need.lacks(task)), None)
+    return min((need for need in COMMANDS[command] if need.lacks(task)), key=lambda need: need.part != "", default=None)
 
 
 def can(command: str, task: TaskHeader) -> str:
