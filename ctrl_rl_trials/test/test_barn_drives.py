@@ -107,14 +107,11 @@ def test_drives_are_the_same_by_one_worker_and_by_two(
     drives = []
     for workers in "12":
         results = tmp_path / f"{workers}.json"
-        words = ["--worlds", "0", "300", "--controllers", "explorer", "dynamic_window", "--workers", workers]
+        words = ["--worlds", "0", "300", "--controllers", "dynamic_window", "--workers", workers]
         assert run(monkeypatch, str(checkout), *words, "--results", str(results)) == 0
         drives.append(json.loads(results.read_text())["figures"]["drives"])
     assert drives[0] == drives[1]
-    assert {method: [each[0] for each in ends] for method, ends in drives[0].items()} == {
-        "explorer": [0, 300],
-        "dynamic_window": [0, 300],
-    }
+    assert {method: [each[0] for each in ends] for method, ends in drives[0].items()} == {"dynamic_window": [0, 300]}
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ctrl_rl_learning.offline import solvable
+from ctrl_rl_learning.offline import OC_VALUE, solvable
 from ctrl_rl_trials.offline.closed_loop import LoopSettings, run_loop
-from ctrl_rl_trials.offline.correlation import CANDIDATES, CorrelationSettings, agreements
+from ctrl_rl_trials.offline.correlation import CANDIDATES, CorrelationSettings, agreements, candidates_for
 
 from ctrl_rl_core import load_navigation_task, task_digest
 from ctrl_rl_learning import LearningError
@@ -28,10 +28,13 @@ def test_agreement_counts_order_and_what_the_choice_loses() -> None:
 
 
 def test_a_quick_trial_compares_each_policy_once() -> None:
-    assert CorrelationSettings().candidates == CANDIDATES
-    quick = CorrelationSettings(updates=5).candidates
+    assert candidates_for(TASK, CorrelationSettings.updates) == CANDIDATES
+    quick = candidates_for(TASK, 5)
     assert len({each.name for each in quick}) == len(quick) < len(CANDIDATES)
     assert {each.method for each in quick} == {each.method for each in CANDIDATES}
+    # A task of the user's own has no optimal control value.
+    own = candidates_for(TASK.model_copy(update={"name": "hall"}), 5)
+    assert set(quick) - set(own) == {each for each in quick if each.value == OC_VALUE}
 
 
 def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path: Path) -> None:

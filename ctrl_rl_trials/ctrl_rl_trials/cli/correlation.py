@@ -23,9 +23,10 @@ _NAMES = {
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelationOptions:
-    """Train eighteen policies of varying quality, predict their returns from bags, and correlate with driven returns.
+    """Train policies of varying quality, predict their returns from bags, and correlate with driven returns.
 
-    An interrupted call resumes. A folder of a call with other settings is refused.
+    There are eighteen policies; fewer for a task without an optimal control value. An interrupted call resumes; a folder
+    of a call with other settings is refused.
     """
 
     task: str = "car_navigation"

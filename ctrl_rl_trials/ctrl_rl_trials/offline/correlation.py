@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import Actor, NavigationTask, load_policy, task_digest
 from ctrl_rl_trials.offline.closed_loop import DISCOUNT
+from oc_baseline_node import shipped_values
 from ttr_reward_node import RewardEvaluator, load_value, relabel
 
 Array = NDArray[np.float64]
@@ -106,11 +107,6 @@ class CorrelationSettings:
     fits: int = 1
     engine: str = "planar"
 
-    @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Policies to compare."""
-        return tuple(dict.fromkeys(each.within(self.updates) for each in CANDIDATES))
-
 
 def compare(
     task: NavigationTask, folder: Path, settings: CorrelationSettings, tell: Callable[[str], None]
@@ -127,11 +123,13 @@ def compare(
         CtrlRlError: The task cannot be driven or has no time to reach; a file of an earlier call is damaged, or that
             call had other settings than a number of seeds.
     """
+    candidates = candidates_for(task, settings.updates)
+    if all(each.value != OC_VALUE for each in candidates):
+        tell(f"task '{task.name}' has no optimal control value: {len(candidates)} policies learn without one")
     Study(folder).require_same({"task": task_digest(task)} | asdict(replace(settings, seeds=0)))
     values = load_values(TIME_TO_REACH, task, folder / "values")
     bags = [_bag(task, folder, seed, settings) for seed in range(settings.seeds)]
     learnt_from = load_transitions(bags[:1], task)
-    candidates = settings.candidates
     driven = [_drive(task, folder, each, learnt_from, settings, tell) for each in candidates]
     predicted = []
     for seed, bag in enumerate(bags):
@@ -140,6 +138,12 @@ def compare(
             [_predict(task, folder, each, seed, transitions, values, settings, tell) for each in candidates]
         )
     return {"policies": [each.name for each in candidates], "driven": driven, "predicted": predicted}
+
+
+def candidates_for(task: NavigationTask, updates: int) -> tuple[Candidate, ...]:
+    """Return the policies to compare, each with at most a given number of updates and a value that the task has."""
+    usable = [each for each in CANDIDATES if each.value != OC_VALUE or task.name in shipped_values()]
+    return tuple(dict.fromkeys(each.within(updates) for each in usable))
 
 
 class Agreement(NamedTuple):
