@@ -25,8 +25,8 @@ _NAMES = {
 class CorrelationOptions:
     """Train policies of varying quality, predict their returns from bags, and correlate with driven returns.
 
-    There are eighteen policies; fewer for a task without an optimal control value. An interrupted call resumes; a folder
-    of a call with other settings is refused.
+    There are eighteen policies; fewer for a task without an optimal control value. An interrupted call resumes;
+    a folder of a call with other settings is refused.
     """
 
     task: str = "car_navigation"
