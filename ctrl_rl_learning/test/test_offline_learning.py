@@ -183,7 +183,9 @@ def test_roll_outs_in_a_learnt_world_tell_what_a_policy_earns(
 
 
 def test_a_model_is_believed_where_it_replays_the_bags(transitions: Transitions) -> None:
-    assert replay(look_at(transitions, TASK, 0), 0).agreement > 0.6
+    found = replay(look_at(transitions, TASK, 0), 0)
+    assert found.agreement > 0.6
+    assert found.attainable == pytest.approx(found.agreement, abs=0.2)
     random = np.random.default_rng(0)
     shuffled = dataclasses.replace(transitions, actions=random.permutation(transitions.actions))
     assert replay(look_at(shuffled, TASK, 0), 0).agreement < 0.5

@@ -32,7 +32,7 @@ from ctrl_rl_learning.offline.data.digests import episode_digests, fitted_to
 from ctrl_rl_learning.offline.data.motion import displacements
 from ctrl_rl_learning.offline.evaluation.dynamics import fit_dynamics, recorded_inputs
 from ctrl_rl_learning.offline.evaluation.roll_outs import rest_of
-from ctrl_rl_learning.offline.evaluation.verdict import difference_of_shares, wilson
+from ctrl_rl_learning.offline.evaluation.verdict import believed, difference_of_shares, wilson
 from ctrl_rl_learning.study import Estimate
 from verdicts.policies import FULL, STRAIGHT, always, blind, mirrored, random_network
 
@@ -149,6 +149,19 @@ def test_walls_that_are_not_the_files_forbid_roll_outs(tmp_path: Path) -> None:
     found = evaluate_offline(transitions, other, clone_of("car_navigation"), updates=60, fits=1)
     assert not found.by_model
     assert any("the recorded ranges are not those" in objection.reason for objection in found.objections)
+
+
+@pytest.mark.parametrize(
+    ("agreement", "attainable", "is_believed"),
+    [(0.95, 0.95, True), (0.76, 0.75, True), (0.75, 0.95, False), (0.46, 0.72, False), (0.3, 0.3, False)],
+)
+def test_a_model_is_believed_as_far_as_two_replays_agree(
+    agreement: float, attainable: float, *, is_believed: bool
+) -> None:
+    _, transitions = recorded("car_navigation")
+    found = judged("car_navigation", transitions, clone_of("car_navigation"))
+    assert found.support is not None
+    assert believed(replace(found.support, agreement=agreement, attainable=attainable)) == is_believed
 
 
 def test_motion_beyond_the_bags_goes_on_or_stays() -> None:

@@ -51,8 +51,9 @@ def estimate_lines(report: OfflineReport) -> list[str]:
         lines.append(
             f"roll-outs  rest on {support.effective:.1f} {all_of}; {support.outside:.0%} of the steps lie where nobody "
             f"drove, {support.beyond:.0%} are beyond the recorded commands\n"
-            f"           the model replays the bags with a correlation of {support.agreement:.2f}, and misses the ends "
-            f"of {support.pieces} pieces like the policy's by {support.missed:.0%}\n"
+            f"           the model replays the bags with a correlation of {support.agreement:.2f}, two replays have "
+            f"{support.attainable:.2f}; it misses the ends of {support.pieces} pieces like the policy's by "
+            f"{support.missed:.0%}\n"
             f"           {support.scans_off:.1%} of the ranges are not those of the walls; the models differ by "
             f"{support.disagreement:.0f}"
         )

@@ -26,6 +26,7 @@ class Replay(NamedTuple):
     Attributes:
         rows: Transition that begins each piece (n,).
         replayed: Rewards at the end of the pieces in the model (n,).
+        again: The same with other errors of the model (n,).
         earned: The same in the bag (n,).
         missed: Distance between the places where model and bag end [m] (n,).
         driven: Length of the way in the bag [m] (n,).
@@ -33,6 +34,7 @@ class Replay(NamedTuple):
 
     rows: NDArray[np.intp]
     replayed: Array
+    again: Array
     earned: Array
     missed: Array
     driven: Array
@@ -42,13 +44,19 @@ class Replay(NamedTuple):
         """Correlation between the returns of recorded and replayed pieces, -1 to 1."""
         return correlation(self.replayed, self.earned)
 
+    @property
+    def attainable(self) -> float:
+        """Correlation between two replays: what a model agrees by with a robot that moves as it says, -1 to 1."""
+        return correlation(self.replayed, self.again)
+
 
 def replay(recorded: Recorded, seed: int) -> Replay:
     """Replay recorded commands in a model of other episodes, among the walls of their own and without movers.
 
     Pieces of `REPLAYED` steps, counted from an episode's end, are replayed without a look at what comes of them: a
-    policy that looks would mend the model's errors by then. Half of the episodes are replayed in a model of the other
-    half, and the other way around; no policy takes part. Pieces that a mover ended are left out.
+    policy that looks would mend the model's errors by then. The faster the drives, the farther apart even two replays
+    of a piece end: `attainable` is what the agreement of a true model comes to. Half of the episodes are replayed in a
+    model of the other half, and the other way around; no policy takes part. Pieces that a mover ended are left out.
     """
     transitions, task = recorded.transitions, recorded.task
     first = np.append(np.flatnonzero(transitions.first), len(transitions))
@@ -65,19 +73,23 @@ def replay(recorded: Recorded, seed: int) -> Replay:
         if not len(starts):
             continue
         around = Surroundings(task, recorded.worlds, episodes[starts])
-        world = LearntWorld(task, dynamics, around, np.random.default_rng((seed, half)))
 
         def choose(
             _: Array, __: Array, which: NDArray[np.intp], step: int, starts: NDArray[np.intp] = starts
         ) -> NDArray[np.float32]:
             return transitions.actions[starts[which] + step]
 
-        outcomes, _, ends = world.drive(transitions.states[starts], inputs[starts], REPLAYED, choose)
+        rewards = []
+        for drawn in ((seed, half, 1), (seed, half)):
+            world = LearntWorld(task, dynamics, around, np.random.default_rng(drawn))
+            outcomes, _, ends = world.drive(transitions.states[starts], inputs[starts], REPLAYED, choose)
+            rewards.append(np.asarray(terminal_reward(outcomes, task.rewards)))
         last = starts + REPLAYED - 1
         missed = np.hypot(*(ends - transitions.next_states[last])[:, :2].T)
-        rewards = terminal_reward(outcomes, task.rewards), transitions.task_rewards[last]
-        found.append(Replay(starts, *rewards, missed, way[last + 1] - way[starts]))
-    none = Replay(np.zeros(0, dtype=np.intp), *np.zeros((4, 0)))
+        again, replayed = rewards
+        earned, driven = transitions.task_rewards[last], way[last + 1] - way[starts]
+        found.append(Replay(starts, replayed, again, earned, missed, driven))
+    none = Replay(np.zeros(0, dtype=np.intp), *np.zeros((5, 0)))
     return Replay(*(np.concatenate(column) for column in zip(none, *found, strict=True)))
 
 

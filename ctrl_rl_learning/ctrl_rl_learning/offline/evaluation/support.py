@@ -39,6 +39,7 @@ class ModelSupport:
         movers: Share of the recorded ranges that end at movers.
         movers_by_law: Largest such share that the movers of the task explain.
         agreement: Correlation by which held-out pieces of the bags end in the model as in the bag.
+        attainable: Correlation between two replays of those pieces, which a true model agrees by with the bag.
         pieces: Number of those pieces in the region and at the speeds that the policy drives.
         missed: Median of the distance by which those end elsewhere, as a share of their way.
         effective: Effective number of episodes that drove where the policy drives.
@@ -53,6 +54,7 @@ class ModelSupport:
     movers: float
     movers_by_law: float
     agreement: float
+    attainable: float
     pieces: int
     missed: float
     effective: float
@@ -80,6 +82,7 @@ def model_support(recorded: Recorded, roll_outs: RollOuts, replayed: Replay, see
         movers=movers,
         movers_by_law=by_law,
         agreement=replayed.agreement,
+        attainable=replayed.attainable,
         pieces=int(near.sum()),
         missed=_share(replayed.missed[near], replayed.driven[near]),
         effective=effective_number(np.bincount(episodes)) if len(episodes) else 0.0,
