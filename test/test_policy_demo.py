@@ -30,7 +30,7 @@ def test_a_quadrotor_flies_to_its_goal_behind_its_guard_and_the_flight_is_report
 
 
 def test_a_car_drives_from_several_starts_to_its_goal(tmp_path: Path) -> None:
-    answer = command("trials", "--task", "car_ttr", "--seeds", 2, "--speed", 2, "--output", tmp_path / "run")
+    answer = command("trials", "--task", "car_ttr", "--seeds", 2, "--speed", 4, "--output", tmp_path / "run")
     assert answer.returncode == 0, answer.stderr
     assert "goal reached        2 of 2" in answer.stdout
 

@@ -134,7 +134,7 @@ def start_guard(run_shared_node: Callable[..., Any]) -> Callable[[], Any]:
         "flight_guard",
         "task:=quad_trap",
         "use_sim_time:=true",
-        "hover_for:=2.0",
+        "hover_for:=0.6",
         remap=("rotor_thrusts:=rotor_thrusts_safe",),
     )
 

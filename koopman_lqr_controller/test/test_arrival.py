@@ -66,7 +66,7 @@ def test_a_drive_without_the_demo_ends_at_the_goal_and_the_bridge_says_so_once(
     )
     for own in (robot.scan, robot.odom):  # there must be one lidar
         robot.node.destroy_publisher(own)
-    bridge = run_node("sim_bridge", "bridge", "speed_factor:=2.0", "seed:=5")
+    bridge = run_node("sim_bridge", "bridge", "speed_factor:=4.0", "seed:=5")
     controller = run_node("koopman_lqr_controller", "controller", "use_sim_time:=true")
     deadline = time.monotonic() + 120.0
     while not ended:
