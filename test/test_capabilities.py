@@ -33,7 +33,8 @@ LINES = {
     "ctrl_rl_trials correlation": "correlation --task {task} --seeds 1 --episodes 5 --tests 1 --updates 5 "
     "--folder {folder}",
     "koopman_lqr_controller edmd": "edmd no_such_bag --task {task} --output {folder}/policy.safetensors",
-    "koopman_lqr_controller train": "train --task {task} --samples 100 --folder {folder}",
+    "koopman_lqr_controller train": "train --task {task} --samples 100 --actions 100 --episodes 1 "
+    "--consolidation 2 --folder {folder}",
     "oc_baseline_node oc data": "oc data {task} --trajectories 1 --output {folder}/data --workers 1",
     "oc_baseline_node train": "train --task {task} --methods ppo --seeds 1 --samples 2048 --folder {folder}",
     "option_coordinator train": "train --task {task} --seeds 1 --samples 1 --folder {folder}",
