@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -154,6 +155,16 @@ class TaskDriveOptions(DriveOptions):
 
     other_task: bool = False
     """Also accept bags of another task, or of another version of it."""
+
+    def as_words(self) -> str:
+        """Return the given options of the bags, each after a space, for a command that reads the same bags."""
+        given = {each.name: getattr(self, each.name) for each in fields(TaskDriveOptions)}
+        changed = {each.name for each in fields(TaskDriveOptions) if given[each.name] != each.default}
+        return "".join(
+            f" --{name.replace('_', '-')}" + ("" if value is True else f" {shlex.quote(str(value))}")
+            for name, value in given.items()
+            if name in changed
+        )
 
 
 def check_task(

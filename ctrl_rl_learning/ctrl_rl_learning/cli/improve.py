@@ -165,7 +165,8 @@ def _tell(options: ImproveOptions, kept: Mapping[str, Any]) -> int:
     atomic_write(options.output / PAGE, f"{text}\n")
     print(text)
     print(f"report     {options.output / PAGE}")
-    print(f"drive it   ros2 run ctrl_rl_core policy --ros-args -p policy:={options.output / POLICY}")
+    if kept["verdict"] != "worse":
+        print(f"drive it   ros2 run ctrl_rl_core policy --ros-args -p policy:={options.output / POLICY}")
     return 0 if kept["better"] else 1
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ctrl_rl_core.command import (
     FileToWrite,
@@ -57,10 +57,11 @@ def _learn(options: LearnOptions) -> int:
         actor = teach(transitions, task, options, curves=curves)
     actor.save(options.output)
     print(f"policy     {options.output}: {task.name}, {METHODS[options.method]}")
-    mapped = f"{options.output.parent / task.name}.yaml --other-task"
+    mapped = f"{options.output.parent / task.name}.yaml"
+    read_as = replace(options, other_task=options.other_task or options.map_from_bag)
     print(
         "judge it   ros2 run ctrl_rl_learning evaluate_offline RUN ... --task "
-        f"{mapped if options.map_from_bag else options.task} --policy {options.output}"
+        f"{mapped if options.map_from_bag else options.task}{read_as.as_words()} --policy {options.output}"
     )
     return 0
 

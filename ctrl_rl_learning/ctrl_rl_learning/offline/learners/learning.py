@@ -170,8 +170,8 @@ def _tensors(
         paid = transitions.rewards
         if not np.isfinite(paid[transitions.outcomes == 0]).any():
             raise LearningError(
-                f"the bags have no rewards, which {method} learns from: relabel them first, "
-                "`ros2 run ttr_reward_node relabel`"
+                f"the bags have no rewards, which {method} learns from: relabel them first, by `ros2 run "
+                "ttr_reward_node relabel --grid FILE` with a file of `ros2 run ttr_reward_node solve`"
             )
         # States that a reward is unknown of, outside of its value's domain, pay the least that any known one does.
         paid = np.where(np.isfinite(paid), paid, np.nanmin(paid)) / _scale(transitions)
