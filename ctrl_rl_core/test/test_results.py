@@ -129,9 +129,23 @@ def test_a_command_is_kept_without_the_folders_of_one_computer(tmp_path: Path, m
 
 def test_rows_whose_command_is_not_known_are_called_older(tmp_path: Path) -> None:
     file = tmp_path / "returns.json"
-    write_results(file, "returns", [0], [Result("cart", "return", "1", [1.0])])
-    write_results(file, "returns", [0], with_others(file, [Result("pole", "return", "1", [2.0])]))
+    known = Result("pole", "return", "1", [2.0], origins=(Origin(command="train", commit="0123abc"),))
+    write_results(file, "returns", [0], [Result("cart", "return", "1", [1.0]), known])
+    write_results(file, "returns", [0], with_others(file, [Result("rod", "return", "1", [2.0])]))
     assert "The other rows are older." in results_page(tmp_path)
+
+
+def test_rows_of_one_command_keep_it_beside_those_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("cart", "pole"):
+        monkeypatch.setattr("sys.argv", ["bin/train", name])
+        rows = [Result(name, "return", "1", [1.0])]
+        file = tmp_path / "returns.json"
+        write_results(file, "returns", [0], with_others(file, rows) if file.exists() else rows)
+    content = json.loads(file.read_text())
+    assert [(row["method"], row["origins"][0]["command"]) for row in content["rows"]] == [
+        ("cart", "train cart"),
+        ("pole", "train pole"),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -237,6 +237,8 @@ def with_others(path: Path, rows: Sequence[Result], same_metric: bool = False) -
 
     before = read_experiment(path) if path.exists() else None
     old = [row.result for row in before.rows] if before else []
+    if before and not any(row.origins for row in old):  # the file's own command measured all of them
+        old = [replace(row, origins=(Origin(command=before.command, commit=before.commit),)) for row in old]
     origin = _origin()
     new = [replace(row, origins=(origin,)) for row in rows]
     replaced = {name(row) for row in new}

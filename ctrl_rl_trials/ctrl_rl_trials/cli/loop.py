@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,11 +17,11 @@ from ctrl_rl_core.command import (
     one_of,
     some_of,
 )
-from ctrl_rl_core.io import as_lines
+from ctrl_rl_core.io import add_results, as_lines, digest
 from ctrl_rl_core.tasks import require
 from ctrl_rl_learning.offline import METHODS
 
-from ctrl_rl_core import Result, load_navigation_task, write_results
+from ctrl_rl_core import Result, load_navigation_task, task_digest
 
 _ENGINES = ("planar", "auto", "pybullet", "mujoco")
 
@@ -56,7 +56,8 @@ class LoopOptions:
     folder: FolderToWrite = Path("runs/offline_loop")
     """Folder of the runs, which resume there."""
     results: OptionalFileToWrite = None
-    """JSON file to write the success and return of each round to."""
+    """JSON file to add the success and return of each round to; the rows of other tasks and methods stay, and the
+    values of other seeds with the same settings."""
 
 
 def _loop(options: LoopOptions) -> int:
@@ -65,7 +66,7 @@ def _loop(options: LoopOptions) -> int:
         require("ctrl_rl_trials loop", task)
     from ctrl_rl_trials.offline.closed_loop import LoopSettings, run_loop
 
-    found: dict[tuple[str, str], list[list[dict[str, Any]]]] = {}
+    found: dict[tuple[str, str, str], list[list[dict[str, Any]]]] = {}
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     try:
         for seed in seeds:
@@ -89,29 +90,34 @@ def _loop(options: LoopOptions) -> int:
                         options.folder / "values",
                         lambda line, name=name: print(f"{name}: {line}"),  # type: ignore[misc]
                     )
-                    found.setdefault((task.name, method), []).append(rounds)
+                    terms = digest(asdict(settings) | {"seed": None, "task": task_digest(task)})[:16]
+                    found.setdefault((task.name, method, terms), []).append(rounds)
     finally:
         if found:
-            rows = _rows(found)
+            rows = _rows(found, options.first_seed)
             print(as_lines(rows))
             if options.results is not None:
-                write_results(options.results, "offline_loop", seeds, rows)
+                add_results(options.results, "offline_loop", seeds, rows, same_metric=True)
                 print(f"results    {options.results}")
     return 0
 
 
-def _rows(found: dict[tuple[str, str], list[list[dict[str, Any]]]]) -> list[Result]:
+def _rows(found: dict[tuple[str, str, str], list[list[dict[str, Any]]]], first_seed: int) -> list[Result]:
     """Return rows with success and return of each round, one number per seed."""
     rows = []
-    for (task, method), runs in found.items():
+    for (task, method, terms), runs in found.items():
+        seeds = tuple(range(first_seed, first_seed + len(runs)))
         for number in range(len(runs[0])):
             name = f"{task}: {method}, round {number}" if number else f"{task}: scripted driver for {method}"
             here = [rounds[number] for rounds in runs]
-            rows.append(Result(name, "success", "1", [float(np.mean(each["success"])) for each in here]))
-            rows.append(Result(name, "return", "1", [float(np.mean(each["returns"])) for each in here]))
+            columns = {
+                "success": [float(np.mean(each["success"])) for each in here],
+                "return": [float(np.mean(each["returns"])) for each in here],
+            }
             if number:
-                rows.append(Result(name, "predicted", "1", [float(each["predicted"]["mean"]) for each in here]))
-                rows.append(Result(name, "called better", "1", [float(each["better"]) for each in here]))
+                columns["predicted"] = [float(each["predicted"]["mean"]) for each in here]
+                columns["called better"] = [float(each["better"]) for each in here]
+            rows += [Result(name, metric, "1", values, None, seeds, terms) for metric, values in columns.items()]
     return rows
 
 
