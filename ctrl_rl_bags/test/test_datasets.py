@@ -300,7 +300,11 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(kind: str, blocks: int, bag:
     )
     words = ["export", bag, "--format", kind, "--output", tmp_path / "data"]
     answer = subprocess.run(
-        [sys.executable, "-c", code, str(blocks), *words], capture_output=True, text=True, check=False
+        # Without -B, a module that has changed would leave a truncated .pyc, on which every later import fails.
+        [sys.executable, "-B", "-c", code, str(blocks), *words],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     lines = [line for line in answer.stderr.splitlines() if "cannot be written: File too large" in line]
     assert (answer.returncode, len(lines)) == (1, 1), answer.stderr
