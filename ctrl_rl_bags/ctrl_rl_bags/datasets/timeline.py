@@ -220,8 +220,8 @@ class _Run:
             return [piece]
         if period is not None and usual > _SLOWER * period:
             raise BagError(
-                f"{self._bag.path}: its scans come every {usual:.3g} s, a step of the task takes {period:.3g} s: name a"
-                " task whose time_step is not shorter"
+                f"{self._bag.path}: its scans come every {usual:.3g} s, later than a step of {period:.3g} s ends: take"
+                f" {usual:.3g} s or more, by the task's time_step or an export's --period"
             )
         if period is not None and not even(np.array([usual]), period).all():
             piece = piece[spaced(self._times[piece], np.arange(len(piece)) == 0, period)]

@@ -30,6 +30,19 @@ class DamagedError(BagError):
     """A file is damaged or exceeds the limits; the message does not name it."""
 
 
+class LargeChunkError(DamagedError):
+    """A chunk exceeds the limit.
+
+    Args:
+        size: Uncompressed size of the chunk [bytes].
+        limit: Limit [bytes].
+    """
+
+    def __init__(self, size: int, limit: int) -> None:
+        super().__init__(f"a chunk of {size:,} bytes, where at most {limit:,} are read")
+        self.megabytes = -(-size // (1 << 20))
+
+
 def reason(error: Exception) -> str:
     """Format any error as part of one printable line."""
     if isinstance(error, OSError) and error.strerror:

@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
-from ctrl_rl_bags.format.checks import DamagedError
+from ctrl_rl_bags.format.checks import DamagedError, LargeChunkError
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -136,7 +136,7 @@ def decompress(content: bytes, limit: int) -> bytes:
     """
     head = chunk_head(content)
     if head.size > limit:
-        raise DamagedError(f"a chunk of {head.size:,} bytes, where at most {limit:,} are read: raise --max-chunk-mb")
+        raise LargeChunkError(head.size, limit)
     records = decompress_some(head.compression, content[head.data_at :], head.size)
     if len(records) != head.size:
         raise DamagedError("a chunk's size contradicts its header")

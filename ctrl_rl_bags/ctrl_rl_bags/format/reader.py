@@ -17,7 +17,7 @@ from typing import Any
 import zstandard
 
 from ctrl_rl_bags.format.bag_info import BagInfo, TopicInfo, compare, completed, recover_hint
-from ctrl_rl_bags.format.checks import BagError, DamagedError, open_regular, printable, reason
+from ctrl_rl_bags.format.checks import BagError, DamagedError, LargeChunkError, open_regular, printable, reason
 from ctrl_rl_bags.format.mcap_reader import McapReader
 from ctrl_rl_bags.format.mcap_records import DEFAULT_LIMITS, Limits, decompress_some
 from ctrl_rl_bags.format.metadata import METADATA_FILE, BagMetadata, SerializedMessage, Topic, read_metadata
@@ -187,6 +187,8 @@ class Bag:
                 source.close()
         except (DamagedError, OSError) as error:
             hint = "" if any(words in str(error) for words in _NOT_MENDED) else recover_hint(self.path)
+            if hint and isinstance(error, LargeChunkError):
+                hint += f" --max-chunk-mb {error.megabytes}"
             raise BagError(f"{file} cannot be read: {reason(error)}{hint}") from None
 
     def _read_info(self, names: tuple[str, ...]) -> BagInfo:
