@@ -38,6 +38,7 @@ def faults_of(figure: Figure) -> list[str]:
     if figure.get_figwidth() not in (FULL, HALF):
         found.append(f"is {figure.get_figwidth()} in wide, neither {FULL} nor {HALF}")
     boxes: list[tuple[str, Bbox]] = []
+    points = {axes: line_points(axes) for axes in figure.axes}
     for axes, text in _texts(figure):
         box, words = text.get_window_extent(), " ".join(text.get_text().split())
         if text.get_fontsize() < SMALL:
@@ -49,7 +50,7 @@ def faults_of(figure: Figure) -> list[str]:
         found += [f"'{words}' lies on '{other}'" for other, there in boxes if tight.overlaps(there)]
         boxes.append((words, tight))
         for other in figure.axes if axes is None else [axes]:
-            if covered := covers(box, line_points(other)):
+            if covered := covers(box, points[other]):
                 found.append(f"'{words}' covers {covered} points")
     return found
 
