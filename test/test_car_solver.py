@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from cars.maps import make_maze
-from ctrl_rl_navigation.cars import CarLimits, CarSolver
+from ctrl_rl_navigation.cars import CarLimits, CarSolver, CarValue
 from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap
@@ -22,6 +22,11 @@ def solver() -> CarSolver:
     return CarSolver(make_maze(np.random.default_rng(3), 3, 3), CAR)
 
 
+@pytest.fixture(scope="module")
+def value(solver: CarSolver) -> CarValue:
+    return solver.solve(*GOAL)
+
+
 def poses(solver: CarSolver, count: int = 400) -> Array:
     """Draw poses (n, 3) at which the car fits."""
     height, width = solver.map.cells.shape
@@ -30,33 +35,31 @@ def poses(solver: CarSolver, count: int = 400) -> Array:
     return np.asarray(drawn[solver.fits(drawn)])
 
 
-def test_threads_do_not_change_the_result(solver: CarSolver, monkeypatch: pytest.MonkeyPatch) -> None:
-    times = solver.solve(*GOAL).all_times
+def test_threads_do_not_change_the_result(solver: CarSolver, value: CarValue, monkeypatch: pytest.MonkeyPatch) -> None:
     for cores in (1, 3):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, cores=cores: set(range(cores)))
-        np.testing.assert_array_equal(CarSolver(solver.map, CAR).solve(*GOAL).all_times, times)
+        np.testing.assert_array_equal(CarSolver(solver.map, CAR).solve(*GOAL).all_times, value.all_times)
 
 
-def test_an_early_end_keeps_the_times_near_the_car(solver: CarSolver) -> None:
-    whole = solver.solve(*GOAL)
+def test_an_early_end_keeps_the_times_near_the_car(solver: CarSolver, value: CarValue) -> None:
     start = poses(solver)[0]
     part = solver.solve(*GOAL, start=start)
-    assert float(part.value(start)) == pytest.approx(float(whole.value(start)), abs=0.01)
+    assert float(part.value(start)) == pytest.approx(float(value.value(start)), abs=0.01)
     known = np.isfinite(part.all_times)
-    np.testing.assert_allclose(part.all_times[known], whole.all_times[known], atol=0.02)
+    np.testing.assert_allclose(part.all_times[known], value.all_times[known], atol=0.02)
 
 
-def test_obstacles_added_are_those_of_a_map_with_them(solver: CarSolver) -> None:
+def test_obstacles_added_are_those_of_a_map_with_them(solver: CarSolver, value: CarValue) -> None:
     points = np.array(((1.8, 1.9), (1.85, 1.9), (0.7, 3.1)))
     cells = solver.map.cells.copy()
     cells[solver.map.world_to_cell(points)] = 100
     anew = CarSolver(OccupancyMap(cells, solver.map.resolution, solver.map.origin), CAR).solve(*GOAL)
     np.testing.assert_array_equal(solver.solve(*GOAL, points).all_times, anew.all_times)
-    assert np.isfinite(solver.solve(*GOAL).all_times).sum() > np.isfinite(anew.all_times).sum()
+    assert np.isfinite(value.all_times).sum() > np.isfinite(anew.all_times).sum()
 
 
-def test_the_room_is_the_distance_to_the_nearest_occupied_cell(solver: CarSolver) -> None:
-    value, errors = solver.solve(*GOAL), []
+def test_the_room_is_the_distance_to_the_nearest_occupied_cell(solver: CarSolver, value: CarValue) -> None:
+    errors = []
     walls = solver.map.cell_to_world(*np.argwhere(solver.map.cells == 100).T)
     half, step = (0.5 * CAR.length, 0.5 * CAR.width), math.tau / len(value.room)
     for heading, row, column in np.argwhere((value.room > 0.03) & (value.room < 0.25))[::2003]:
@@ -70,8 +73,7 @@ def test_the_room_is_the_distance_to_the_nearest_occupied_cell(solver: CarSolver
     assert np.abs(errors).max() < 0.02
 
 
-def test_paths_keep_off_walls_and_last_as_long_as_the_value_says(solver: CarSolver) -> None:
-    value = solver.solve(*GOAL)
+def test_paths_keep_off_walls_and_last_as_long_as_the_value_says(solver: CarSolver, value: CarValue) -> None:
     starts = poses(solver)
     starts = starts[np.isfinite(value.value(starts))][:20]
     ways = [value.poses(start) for start in starts]
