@@ -82,10 +82,11 @@ def contacts(environment, seeds, steps=150):
     return count
 
 
-def test_a_careless_driver_never_collides_behind_the_shield_and_mostly_without_it():
-    assert contacts(Room(), range(20)) >= 15
-    assert contacts(shielded(), range(20)) == 0
-    assert contacts(shielded(recoverable_set=True), range(3)) == 0
+@pytest.mark.parametrize("episodes", [6, pytest.param(20, marks=pytest.mark.slow)])
+def test_a_careless_driver_never_collides_behind_the_shield_and_mostly_without_it(episodes):
+    assert contacts(Room(), range(episodes)) >= 0.75 * episodes
+    assert contacts(shielded(), range(episodes)) == 0
+    assert contacts(shielded(recoverable_set=True), range(episodes // 6)) == 0
 
 
 def test_info_tells_what_was_sent_and_free_actions_pass_as_they_are():
