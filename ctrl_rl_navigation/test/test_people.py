@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ctrl_rl_navigation.driving.look_ahead import Choice, LookAhead
 from ctrl_rl_navigation.people import Tracker
-from ctrl_rl_navigation.people.movers import NOBODY, advanced, placed
+from ctrl_rl_navigation.people.movers import NOBODY, advanced, mover, placed
 from ctrl_rl_navigation.people.space_time import SpaceTime
 from ctrl_rl_navigation.robot import limits_of
 from ctrl_rl_navigation.values.map_solver import MapSolver
@@ -21,7 +21,7 @@ VALUE = MapSolver(OccupancyMap(np.zeros((120, 200), np.int8), 0.05, (-4.0, -3.0,
 
 def walker(x: float, y: float, vx: float, vy: float) -> np.ndarray:
     """Return somebody whose place and velocity are known well."""
-    return np.array(((x, y, vx, vy, 0.25, 1e-3, 0.0, 1e-3, 1.0),))
+    return mover(np.array((x, y)), np.array((vx, vy)), 0.25, (1e-3, 0.0, 1e-3))[None]
 
 
 def choose(movers: np.ndarray, command: tuple[float, float] = (0.0, 0.0), theta: float = 0.0) -> Choice:
@@ -100,6 +100,26 @@ def test_somebody_who_stopped_may_go_on_and_is_an_obstacle_after_a_while() -> No
             assert goes[3] == pytest.approx(-0.5, abs=0.25)
     assert len(tracker.movers()) == 0
     assert not moves.any()
+
+
+def test_somebody_who_has_turned_round_before_is_expected_to_turn_round_there_again() -> None:
+    tracker, random = Tracker(), np.random.default_rng(0)
+
+    def place(time: float) -> tuple[float, float]:  # 4 s of a way, 2 s at either end
+        phase = time % 12.0
+        return 2.0, 0.5 * (min(phase, 4.0) - min(max(phase - 6.0, 0.0), 4.0)) - 1.0
+
+    for step in range(270):
+        now = 0.1 * step
+        origin, ends, echoes = look(place(now))
+        tracker.update(now, origin, ends + random.normal(0.0, 0.01, ends.shape), echoes)
+        if step in (29, 269):  # on the way there, one second before it turns round
+            movers = tracker.movers()
+            for ahead in (1.0, 2.0, 4.5):
+                held = movers[(movers[:, 9] <= ahead) & (ahead < movers[:, 10])]
+                assert held[:, 8].sum() == pytest.approx(1.0)
+                away = np.hypot(*(held[:, :2] + ahead * held[:, 2:4] - place(now + ahead)).T)
+                assert (held[away < 0.3, 8].sum() > 0.35) == (step > 100 or ahead < 1.5)
 
 
 def test_movers_change_frames_and_advance() -> None:

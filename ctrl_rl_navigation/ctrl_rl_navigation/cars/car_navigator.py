@@ -27,7 +27,7 @@ _PATIENCE, _PROGRESS = 6.0, 0.5
 _STOPPED = 0.1
 """Fraction of the full speed below which a car at the goal counts as arrived."""
 _NO_PATH: Array = np.empty((0, 2))
-_NOBODY: Array = np.empty((0, 9))
+_NOBODY: Array = np.empty((0, 12))
 
 
 class CarNavigator:
@@ -146,7 +146,7 @@ class CarNavigator:
             now: Steady time [s].
             pose: Pose of the rear axle's middle in the map frame (3,) [m, m, rad].
             points: Echoes in the robot's current frame (n, 2) [m].
-            movers: Positions of movers in the map frame, in the first two of their columns (m, 9) [m]: they count as
+            movers: Positions of movers in the map frame, in the first two of their columns (m, 12) [m]: they count as
                 standing obstacles.
         """
         self._pose = np.array(pose, np.float64)
@@ -239,7 +239,7 @@ class CarNavigator:
 
 
 def _seen_from(pose: Array, movers: Array) -> Array:
-    """Return the positions of movers (m, 9) in the frame of a pose (m, 2) [m]."""
+    """Return the positions of movers (m, 12) in the frame of a pose (m, 2) [m]."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.asarray((movers[:, :2] - pose[:2]) @ np.array(((c, -s), (s, c))))
 

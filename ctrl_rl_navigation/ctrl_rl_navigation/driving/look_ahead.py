@@ -149,7 +149,7 @@ class LookAhead:
             plan: Plan of the last choice (4,), one period ago, or None.
             stuck: Whether the robot is stuck; plans that drive immediately are then preferred to those that start by
                 standing or turning in place.
-            movers: Predicted movers in the map frame (m, 9), see `people.movers`.
+            movers: Predicted movers in the map frame (m, 12), see `people.movers`.
         """
         origin = value.map.origin
         dx, dy = value.goal[0] - pose[0], value.goal[1] - pose[1]

@@ -15,7 +15,7 @@ from ctrl_rl_navigation.driving.obstacle_changes import have_gone, on_the_way
 from ctrl_rl_navigation.driving.obstacle_layer import ObstacleLayer
 from ctrl_rl_navigation.driving.progress import PATIENCE, Progress
 from ctrl_rl_navigation.driving.value_keeper import Change
-from ctrl_rl_navigation.people import NOBODY
+from ctrl_rl_navigation.people import NOBODY, mover
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_solver import longest_time_beside
 from ctrl_rl_navigation.values.map_value import MapValue, path_length
@@ -30,6 +30,10 @@ _DOUBT = 2.0
 """Time after which an obstacle that closes the last way may have gone [s]: the robot looks again, once."""
 _SLACK = 0.1
 """Distance beyond the tolerance at which a blocked robot counts as arrived [m]."""
+_BESIDE, _PAUSE = 0.8, 10.0
+"""Distance from the goal within which a robot that gets no nearer makes room [m], and for how long [s]."""
+_COVERS, _OFF, _STAYS = 0.6, 1.2, 0.1
+"""Distance from the goal of what covers it, distance from there at which the robot waits, and its error [m]."""
 _NO_PATH: Array = np.empty((0, 2))
 
 
@@ -55,6 +59,8 @@ class Navigator:
         self._command = np.zeros(2)
         self._solved_at = self._looked_at = -math.inf
         self._progress, self._ever = Progress(), _NO_PATH
+        self._clear: MapValue | None = None
+        self._off_until = -math.inf
         self._stuck = self._sees_anew = self._taken = self._holds = self._looks_again = False
 
     @property
@@ -133,7 +139,8 @@ class Navigator:
 
     def _begin(self, now: float) -> None:
         """Begin a drive to a goal; what was seen long before may have gone."""
-        self._ended, self._ever = None, _NO_PATH
+        self._ended, self._ever, self._clear = None, _NO_PATH, self.value
+        self._off_until = -math.inf
         self._holds = self._looks_again = False
         self._progress.begin()
         assert self.layer is not None
@@ -159,7 +166,7 @@ class Navigator:
             now: Steady time [s].
             pose: Pose of the robot in the map frame (3,) [m, m, rad].
             points: Echoes of what stands in the robot's current frame (n, 2) [m].
-            movers: Predicted movers in the map frame (m, 9), see `people.movers`.
+            movers: Predicted movers in the map frame (m, 12), see `people.movers`.
         """
         self.poll(now)
         if self._keeper.solver is None:
@@ -177,21 +184,29 @@ class Navigator:
             return self._arrive(pose, goal)
         self._look(now, pose, value)
         if self._taken:
-            return stand(NavigatorState.BLOCKED, "an unmapped obstacle covers the goal")
+            return self._keep_off(pose, points, movers, "an unmapped obstacle covers the goal")
         if not math.isfinite(left):
-            return self._no_way(now, pose)
+            decision = self._no_way(now, pose)
+            if decision.state is NavigatorState.BLOCKED:
+                return self._keep_off(pose, points, movers, decision.message)
+            return decision
         return self._drive(now, pose, points, left, movers)
 
     def _drive(self, now: float, pose: Array, points: Array, left: float, movers: Array) -> Decision:
         assert self.value is not None
         progress = self._progress
-        self._stuck |= progress.note(now, pose[:2], left)
+        if progress.note(now, pose[:2], left):
+            self._stuck = True
+            if math.dist(pose[:2], self.value.goal) < _BESIDE:
+                self._off_until = now + _PAUSE
         if progress.passes > 2:
             message = f"the same way was driven {progress.passes} times without getting nearer to the goal"
             self._ended = (NavigatorState.BLOCKED, message)
             return stand(*self._ended)
         if progress.detour > self.options.max_detour:
             return stand(NavigatorState.BLOCKED, f"{progress.words} is more than `max_detour`")
+        if now < self._off_until:
+            return self._keep_off(pose, points, movers, "something beside the goal is in the way")
         if progress.passes == 2:
             self._insist(now)
         choice = self._ahead.choose(self.value, pose, self._command, points, movers=movers)
@@ -236,6 +251,22 @@ class Navigator:
         if self._keeper.at_work:
             return stand(NavigatorState.SOLVING, "obstacles close the way: solving another one")
         return stand(NavigatorState.BLOCKED, "an unmapped obstacle blocks every path to the goal")
+
+    def _keep_off(self, pose: Array, points: Array, movers: Array, message: str) -> Decision:
+        """Wait at some distance from what covers the goal: somebody who stands there does not pass a robot close by."""
+        assert self.goal is not None
+        assert self._clear is not None
+        assert self.layer is not None
+        goal, there = self.goal, self.layer.points()
+        covers = there[np.hypot(*(there - goal.position).T) < _COVERS]
+        away = math.dist(covers.mean(axis=0), pose[:2]) if len(covers) else math.inf
+        if away > _OFF:
+            return stand(NavigatorState.BLOCKED, message)
+        # A disc that will just reach the robot, which is cheaper to leave than to stay in.
+        radius, spreads = max(min(away + _STAYS, _OFF) - self.limits.room, _STAYS), (_STAYS**2, 0.0, 0.0)
+        stays = mover(covers.mean(axis=0), np.zeros(2), radius, spreads, begin=1.0, acceleration=0.0)
+        choice = self._ahead.choose(self._clear, pose, self._command, points, movers=np.vstack((movers, stays)))
+        return Decision(choice.command, NavigatorState.BLOCKED, message)
 
     def _no_way(self, now: float, pose: Array) -> Decision:
         """Return the decision if the value at the robot is infinite."""
@@ -290,7 +321,7 @@ def warm_up(limits: DriveLimits) -> None:
     navigator = Navigator(limits, NavigatorOptions(inline=True))
     navigator.set_map(OccupancyMap(np.zeros((30, 60), np.int8), limits.room))
     navigator.set_goal(Goal((45.0 * limits.room, 15.0 * limits.room)))
-    someone = np.array(((12.0 * limits.room, 15.0 * limits.room, 0.0, 0.0, 0.2, 0.1, 0.0, 0.1, 1.0),))
+    someone = mover(np.array((12.0, 15.0)) * limits.room, np.zeros(2), 0.2, (0.1, 0.0, 0.1))[None]
     pose, echoes = np.array((10.0 * limits.room, 15.0 * limits.room, 0.0)), np.ones((30, 2))
     for now in (0.0, 1.5):
         navigator.see(now, pose, echoes)

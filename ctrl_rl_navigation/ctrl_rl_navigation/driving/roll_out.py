@@ -10,7 +10,7 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.people.movers import STANDING, risk, spread
+from ctrl_rl_navigation.people.movers import STANDING, holds, risk, spread
 from ctrl_rl_navigation.values.map_value import value_and_slopes
 
 Array = NDArray[np.float64]
@@ -21,6 +21,8 @@ _HIT_COST = 0.5
 """Cost of a roll-out that ends at an obstacle, in addition to the standing time [s]."""
 _BACKWARDS_COST = 0.5
 """Cost of going on backwards after a roll-out, instead of turning [s]."""
+_SOON, _SURE = 0.5, 2.0
+"""Time within which nothing but standing averts a contact any more [s], and how much more that one counts in motion."""
 _STANDS = 0.02
 """Speed below which a robot stands [m/s]."""
 _CHANGE_COST = 0.02
@@ -150,9 +152,11 @@ def _gap(points: Any, now: Any, x: float, y: float, theta: float, rules: Any, sq
 
 @njit(inline="always")
 def _contact_cost(movers: Any, time: float, x: float, y: float, theta: float, rules: Any) -> float:
-    """Return the cost of a second among movers (m, 9) in the first frame [s/s]."""
+    """Return the cost of a second among movers (m, 12) in the first frame [s/s]."""
     c, s, cost = math.cos(theta), math.sin(theta), 0.0
     for m in range(len(movers)):
+        if not holds(movers, m, time):
+            continue
         dx, dy = movers[m, 0] + time * movers[m, 2] - x, movers[m, 1] + time * movers[m, 3] - y
         away = math.sqrt(_beside(dx, dy, c, s, rules))
         cost += movers[m, 8] * risk(away, movers[m, 4] + rules.gap, spread(movers, m, time))
@@ -217,7 +221,7 @@ def _cost(
             if place.along:
                 spent = max(spent, rules.step * _slowness(times, place, x, y, rules))
             cost += spent
-        share = STANDING if abs(v) < _STANDS else 1.0
+        share = STANDING if abs(v) < _STANDS else _SURE if time < _SOON else 1.0
         cost += rules.step * share * _contact_cost(movers, time, x, y, theta, rules)
         if math.hypot(x - place.goal_x, y - place.goal_y) <= place.goal_radius:
             value, _ = _time_left(times, window, place, x, y, theta, rules)
@@ -245,7 +249,7 @@ def choose(
         window: Delays that movers cause, at the end of a roll-out.
         place: Pose of the robot, goal and geometry of the map.
         points: Echoes of what stands in the robot's frame (2, n) [m].
-        movers: Predicted movers in the robot's frame (m, 9).
+        movers: Predicted movers in the robot's frame (m, 12).
         rules: Size and limits of the robot.
         motion: Current speed [m/s] and turn rate [rad/s].
         candidates: Speed [m/s], turn rate [rad/s], hold time [s] and subsequent turn rate [rad/s] (k, 4).

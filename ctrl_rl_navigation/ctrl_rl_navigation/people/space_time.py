@@ -15,7 +15,7 @@ from ctrl_rl_core.values import cached_njit
 from numba import njit
 from numpy.typing import NDArray
 
-from ctrl_rl_navigation.people.movers import STANDING, placed, risk, spread
+from ctrl_rl_navigation.people.movers import STANDING, holds, placed, risk, spread
 from ctrl_rl_navigation.robot import DriveLimits
 from ctrl_rl_navigation.values.map_value import MapValue, value_and_slopes
 
@@ -125,6 +125,8 @@ def _risks(movers: Any, time: float, cell: float, room: float, out: Any) -> None
     low = -0.5 * (n - 1) * cell
     out[:] = 0.0
     for m in range(len(movers)):
+        if not holds(movers, m, time):
+            continue
         x, y = movers[m, 0] + time * movers[m, 2], movers[m, 1] + time * movers[m, 3]
         variance, radius = spread(movers, m, time), movers[m, 4] + room
         for i in range(n):
@@ -158,7 +160,7 @@ def solve_delays(excess: Any, movers: Any, cell: float, room: float, begin: floa
 
     Args:
         excess: Time that a step in each direction loses against the best one (directions, n, n) [s].
-        movers: Predicted movers (m, 9) in the window's frame, in whose middle the robot is now.
+        movers: Predicted movers (m, 12) in the window's frame, in whose middle the robot is now.
         cell: Side length of a cell [m].
         room: Distance from the robot's centre to a mover's surface below which they touch [m].
         begin: That time, from now on [s].
@@ -207,7 +209,7 @@ class SpaceTime:
         Args:
             value: Time to reach the goal.
             pose: Pose of the robot in the map frame (3,) [m, m, rad].
-            movers: Predicted movers (m, 9) in the map frame.
+            movers: Predicted movers (m, 12) in the map frame.
             points: Echoes of what stands (n, 2) in the map frame [m].
         """
         cells = self._cell / value.map.resolution

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ctrl_rl_navigation.people.groups import Disc, discs_of
-from ctrl_rl_navigation.people.movers import COLUMNS, NOBODY
+from ctrl_rl_navigation.people.habits import Walk, expected
+from ctrl_rl_navigation.people.movers import COLUMNS, NOBODY, mover
 from ctrl_rl_navigation.people.seen_free import SeenFree
 
 Array = NDArray[np.float64]
@@ -55,6 +57,8 @@ _HIDDEN = 4.0
 """Time for which a hidden mover is remembered [s]."""
 _GONE = 3
 """Number of scans that must have looked through a disc's place before it is dropped."""
+_WALKS = 12
+"""Number of walks that are remembered of those who have gone."""
 _SMOOTH = 0.3
 """Weight of a new measurement of a radius."""
 
@@ -72,6 +76,7 @@ class Track:
         moved_at: Time of the last change of place [s].
         pace: Velocity before it slowed down (2,) [m/s].
         paced_at: Time of that [s].
+        walk: Its places so far.
     """
 
     state: Array
@@ -85,6 +90,7 @@ class Track:
     votes: int = 0
     misses: int = 0
     echoes: deque[tuple[float, Array, float]] = field(default_factory=deque)
+    walk: Walk = field(default_factory=Walk)
 
     def advance(self, now: float) -> None:
         """Predict the state at a time [s]."""
@@ -108,6 +114,7 @@ class Track:
         if not disc.partly or disc.radius > self.radius:
             self.radius += _SMOOTH * (disc.radius - self.radius)
         self.seen_at, self.misses = now, 0
+        self.walk.note(now, self.state[0])
         self.echoes.append((now, disc.echoes, turned))
         while now - self.echoes[0][0] > _WINDOW:
             self.echoes.popleft()
@@ -121,20 +128,28 @@ class Track:
             if speed > _SLOWS * math.hypot(*self.pace) or now - self.paced_at > _PACED:
                 self.paced_at, self.pace = now, self.state[1].copy()
 
-    def rows(self, now: float) -> Array:
-        """Return the predictions of a mover (n, 9), see `movers`; none for what stands."""
-        still = now - self.moved_at
-        hidden = now - self.seen_at
-        if still - hidden >= _RESUMES:
+    @property
+    def is_mover(self) -> bool:
+        """Return whether it moves, or may go on soon."""
+        return self.seen_at - self.moved_at < _RESUMES
+
+    def rows(self, now: float, others: Iterable[Walk] = ()) -> Array:
+        """Return the predictions of a mover (n, 12), see `movers`; none for what stands.
+
+        Args:
+            now: Time of the predictions [s].
+            others: Walks of others, who may have had the same way.
+        """
+        if not self.is_mover:
             return NOBODY
-        place, spreads = self.state[0], (self.covariance[0, 0], self.covariance[0, 1], self.covariance[1, 1])
-        moves = (*place, *self.state[1], self.radius, *spreads)
+        unlike, habits = expected(self.walk, others, now, self.radius)
+        spreads = (self.covariance[0, 0], self.covariance[0, 1], self.covariance[1, 1])
         if math.hypot(*self.state[1]) > _HALTS * math.hypot(*self.pace):
-            return np.array(((*moves, 1.0),))
-        # One that stops may stay, go on or turn back.
-        goes = 0.5 * (1.0 - _STAYS)
-        on, back = ((*place, *pace, self.radius, *spreads, goes) for pace in (self.pace, -self.pace))
-        return np.array(((*moves, _STAYS), on, back))
+            rows = [mover(*self.state, self.radius, spreads, unlike)]
+        else:  # One that stops may stay, go on or turn back.
+            ways = ((self.state[1], _STAYS), (self.pace, 0.5 * (1.0 - _STAYS)), (-self.pace, 0.5 * (1.0 - _STAYS)))
+            rows = [mover(self.state[0], velocity, self.radius, spreads, unlike * share) for velocity, share in ways]
+        return np.concatenate((rows, habits))
 
 
 class Tracker:
@@ -142,13 +157,16 @@ class Tracker:
 
     def __init__(self) -> None:
         self._tracks: list[Track] = []
+        self._gone: deque[Walk] = deque(maxlen=_WALKS)
         self._free: deque[SeenFree] = deque()
         self._background: deque[SeenFree] = deque()
         self._now, self._turned, self._heading = -math.inf, 0.0, 0.0
 
     def movers(self) -> Array:
-        """Return the predictions of all movers (m, 9), see `movers`, at the time of the last scan."""
-        rows = [track.rows(self._now) for track in self._tracks]
+        """Return the predictions of all movers (m, 12), see `movers`, at the time of the last scan."""
+        walks = [*(track.walk for track in self._tracks), *self._gone]
+        walks = [walk for walk in walks if walk.went_away]
+        rows = [track.rows(self._now, [walk for walk in walks if walk is not track.walk]) for track in self._tracks]
         return np.concatenate(rows) if rows else np.empty((0, COLUMNS))
 
     def update(self, now: float, origin: Array, ends: Array, echoes: Mask, heading: float = 0.0) -> Mask:
@@ -164,6 +182,7 @@ class Tracker:
         """
         if now <= self._now:
             self._tracks, self._free, self._background = [], deque(), deque()
+            self._gone.clear()
         self._turned += abs(math.remainder(heading - self._heading, 2.0 * math.pi))
         self._now, self._heading = now, heading
         free = SeenFree(now, origin, ends, self._turned)
@@ -179,7 +198,7 @@ class Tracker:
         for track, disc in self._assign(now, discs_of(origin, ends, echoes, fresh)):
             track.take(now, disc, self._turned)
             track.watch(now, self._changed(track, disc, free))
-            moves[disc.members] = len(track.rows(now)) > 0
+            moves[disc.members] = track.is_mover
         self._drop(now, free)
         return moves
 
@@ -227,8 +246,10 @@ class Tracker:
         for track in self._tracks:
             if track.seen_at < now:
                 track.misses += bool(free.shows_free(track.state[:1], track.radius)[0])
-                lasts = _HIDDEN if len(track.rows(now)) else _WINDOW
+                lasts = _HIDDEN if track.is_mover else _WINDOW
                 if track.misses >= _GONE or now - track.seen_at > lasts:
+                    if track.walk.went_away:
+                        self._gone.append(track.walk)
                     continue
             kept.append(track)
         self._tracks = kept

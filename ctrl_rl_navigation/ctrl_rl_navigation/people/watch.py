@@ -43,7 +43,7 @@ class Watch:
         return self._tracker.update(sensors.time, origin, ends, np.isfinite(ranges), yaw)
 
     def movers(self, sensors: Sensors) -> Array:
-        """Return the predictions of all movers in the frame of the sensors' pose (m, 9), at their time."""
+        """Return the predictions of all movers in the frame of the sensors' pose (m, 12), at their time."""
         rows = self._tracker.movers()
         if not len(rows) or sensors.pose is None:
             return rows[:0]
