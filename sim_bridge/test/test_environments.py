@@ -1,8 +1,14 @@
+import re
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
+from sim_bridge.simulation.options import whole_steps
 
+from ctrl_rl_core import load_navigation_task
 from sim_bridge import NavigationEnv, SimulationError, SimulationOptions, register_environments
 
 IDS = register_environments()
@@ -95,8 +101,22 @@ def test_vectorised_environments_are_as_single_ones():
 
 
 def test_a_time_step_of_broken_physics_steps_is_refused():
-    with pytest.raises(SimulationError, match="whole number"):
+    with pytest.raises(SimulationError, match=r"or choose another rate$"):
         NavigationEnv("quad_ttr", options=SimulationOptions(rate=110))
+
+
+@given(step=st.floats(1e-3, 2.0), rate=st.sampled_from((60, 110, 240, 250, 1000)))
+def test_the_time_step_that_is_advised_is_taken(step, rate):
+    task = load_navigation_task("car_ttr")
+
+    def lasting(seconds):
+        return task.model_copy(update={"episode": task.episode.model_copy(update={"time_step": seconds})})
+
+    try:
+        whole_steps(lasting(step), rate)
+    except SimulationError as error:
+        advised = float(re.search(r"give it (\S+) s", str(error)).group(1))
+        assert whole_steps(lasting(advised), rate) >= 1
 
 
 def test_an_action_that_is_not_finite_is_refused():

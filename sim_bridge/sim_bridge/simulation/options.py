@@ -71,9 +71,19 @@ def whole_steps(task: NavigationTask, rate: int) -> int:
         SimulationError: The number is not an integer at this rate [Hz].
     """
     steps = task.episode.time_step * rate
-    if abs(steps - round(steps)) > 1e-6 or steps < 0.5:
+    if not _whole(steps):
         raise SimulationError(
-            f"task '{task.name}': its time step of {task.episode.time_step:g} s is {steps:g} physics steps "
-            f"at {rate} Hz: choose a rate at which it is a whole number"
+            f"task '{task.name}': its time_step of {task.episode.time_step:g} s is {steps:g} physics steps "
+            f"at {rate} Hz: give it {_nearest(steps, rate)} s, or choose another rate"
         )
     return round(steps)
+
+
+def _whole(steps: float) -> bool:
+    return abs(steps - round(steps)) <= 1e-6 and steps >= 0.5
+
+
+def _nearest(steps: float, rate: int) -> float:
+    """Return the time step [s], written to a microsecond, that is whole at a rate [Hz] and nearest to some steps."""
+    counts = sorted(range(1, round(steps) + rate + 1), key=lambda count: abs(count - steps))
+    return next(time for time in (round(count / rate, 6) for count in counts) if _whole(time * rate))
