@@ -50,7 +50,9 @@ PYPI_ONLY = {
     "safetensors": "safetensors",
     "sb3_contrib": "sb3-contrib",
     "stable_baselines3": "stable-baselines3",
+    "trimesh": "trimesh",
     "tyro": "tyro",
+    "viser": "viser",
     "zstandard": "zstandard",
 }
 """Modules that the same list has not, or for pip alone, which Ubuntu 24.04 refuses outside an environment."""
