@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ctrl_rl_core import OccupancyMap
 from ctrl_rl_navigation.driving.decision import Decision, Goal, NavigatorOptions, NavigatorState, stand
+from ctrl_rl_navigation.driving.keep_off import BESIDE, PAUSE, to_leave
 from ctrl_rl_navigation.driving.look_ahead import REVERSING, SPEEDS, TURNS_AFTER, LookAhead
 from ctrl_rl_navigation.driving.map_keeper import keep_map_value
 from ctrl_rl_navigation.driving.obstacle_changes import have_gone, on_the_way
@@ -30,10 +31,6 @@ _DOUBT = 2.0
 """Time after which an obstacle that closes the last way may have gone [s]: the robot looks again, once."""
 _SLACK = 0.1
 """Distance beyond the tolerance at which a blocked robot counts as arrived [m]."""
-_BESIDE, _PAUSE = 0.8, 10.0
-"""Distance from the goal within which a robot that gets no nearer makes room [m], and for how long [s]."""
-_COVERS, _OFF, _STAYS = 0.6, 1.2, 0.1
-"""Distance from the goal of what covers it, distance from there at which the robot waits, and its error [m]."""
 _NO_PATH: Array = np.empty((0, 2))
 
 
@@ -197,8 +194,8 @@ class Navigator:
         progress = self._progress
         if progress.note(now, pose[:2], left):
             self._stuck = True
-            if math.dist(pose[:2], self.value.goal) < _BESIDE:
-                self._off_until = now + _PAUSE
+            if math.dist(pose[:2], self.value.goal) < BESIDE:
+                self._off_until = now + PAUSE
         if progress.passes > 2:
             message = f"the same way was driven {progress.passes} times without getting nearer to the goal"
             self._ended = (NavigatorState.BLOCKED, message)
@@ -253,18 +250,13 @@ class Navigator:
         return stand(NavigatorState.BLOCKED, "an unmapped obstacle blocks every path to the goal")
 
     def _keep_off(self, pose: Array, points: Array, movers: Array, message: str) -> Decision:
-        """Wait at some distance from what covers the goal: somebody who stands there does not pass a robot close by."""
+        """Wait at some distance from what covers the goal."""
         assert self.goal is not None
         assert self._clear is not None
         assert self.layer is not None
-        goal, there = self.goal, self.layer.points()
-        covers = there[np.hypot(*(there - goal.position).T) < _COVERS]
-        away = math.dist(covers.mean(axis=0), pose[:2]) if len(covers) else math.inf
-        if away > _OFF:
+        stays = to_leave(self.goal.position, self.layer.points(), pose[:2], self.limits.room)
+        if not len(stays):
             return stand(NavigatorState.BLOCKED, message)
-        # A disc that will just reach the robot, which is cheaper to leave than to stay in.
-        radius, spreads = max(min(away + _STAYS, _OFF) - self.limits.room, _STAYS), (_STAYS**2, 0.0, 0.0)
-        stays = mover(covers.mean(axis=0), np.zeros(2), radius, spreads, begin=1.0, acceleration=0.0)
         choice = self._ahead.choose(self._clear, pose, self._command, points, movers=np.vstack((movers, stays)))
         return Decision(choice.command, NavigatorState.BLOCKED, message)
 

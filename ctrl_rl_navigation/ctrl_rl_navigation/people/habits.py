@@ -108,6 +108,8 @@ def expected(walk: Walk, others: Iterable[Walk], now: float, radius: float) -> t
     away = np.flatnonzero(((own - own[-1]) ** 2).sum(axis=1) > _AWAY**2)
     passages = _passages(own, own, int(away[-1]) if len(away) else 0)
     for other in others:
+        if len(passages) >= _PASSAGES:
+            break
         passages += _passages(own, other.places, len(other.places))
     passages = passages[:_PASSAGES]
     each = 1.0 / (len(passages) + _UNLIKE)
@@ -118,19 +120,20 @@ def expected(walk: Walk, others: Iterable[Walk], now: float, radius: float) -> t
 def _passages(own: Array, places: Array, until: int) -> list[_Passage]:
     """Return passages in a walk (n, 2) up to some index that were like the end of one's own (m, 2), latest first."""
     back = _BACK[len(own) > _BACK]
-    moments = np.arange(back[-1], min(until, len(places) - _PIECE))
-    if not len(moments):
+    first = int(back[-1])
+    off = ((places[first : min(until, len(places) - _PIECE)] - own[-1]) ** 2).sum(axis=1)
+    near = np.flatnonzero(off < _PLACE**2)
+    if not len(near):
         return []
-    off = ((places[moments] - own[-1]) ** 2).sum(axis=1)
+    moments, off = near + first, off[near]
     covered = own[-1] - own[-1 - back]
     change = ((places[moments, None] - places[moments[:, None] - back] - covered) ** 2).sum(axis=2)
-    most = (_COVERED + _SHARE * np.hypot(*covered.T)) ** 2
-    alike = np.flatnonzero((off < _PLACE**2) & (change < most).all(axis=1))
-    if not len(alike):
+    alike = (change < (_COVERED + _SHARE * np.hypot(*covered.T)) ** 2).all(axis=1)
+    if not alike.any():
         return []
-    mismatch = off + change.mean(axis=1)
+    moments, mismatch = moments[alike], (off + change.mean(axis=1))[alike]
     out = []
-    for run in np.split(alike, np.flatnonzero(np.diff(alike) > _APART) + 1):
+    for run in np.split(np.arange(len(moments)), np.flatnonzero(np.diff(moments) > _APART) + 1):
         best = run[np.argmin(mismatch[run])]
         begin = moments[best]
         out.append(_Passage(float(mismatch[best]), places[begin : begin + _PIECE * _PIECES + 1] - places[begin]))

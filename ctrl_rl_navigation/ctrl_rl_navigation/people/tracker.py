@@ -145,7 +145,7 @@ class Track:
         unlike, habits = expected(self.walk, others, now, self.radius)
         spreads = (self.covariance[0, 0], self.covariance[0, 1], self.covariance[1, 1])
         if math.hypot(*self.state[1]) > _HALTS * math.hypot(*self.pace):
-            rows = [mover(*self.state, self.radius, spreads, unlike)]
+            rows = [mover(self.state[0], self.state[1], self.radius, spreads, unlike)]
         else:  # One that stops may stay, go on or turn back.
             ways = ((self.state[1], _STAYS), (self.pace, 0.5 * (1.0 - _STAYS)), (-self.pace, 0.5 * (1.0 - _STAYS)))
             rows = [mover(self.state[0], velocity, self.radius, spreads, unlike * share) for velocity, share in ways]
