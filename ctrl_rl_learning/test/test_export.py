@@ -31,7 +31,7 @@ def test_a_task_of_one_s_own_is_given_by_its_file(tmp_path: Path) -> None:
     task.write_text(task_file("car_ttr").read_text().replace("name: car_ttr", "name: mine"))
     digest = {"task": "mine", "task_digest": task_digest(load_navigation_task(str(task)))}
     source, output = write(tmp_path / "policy.safetensors", digest), tmp_path / "out.safetensors"
-    with pytest.raises(PolicyError, match="does not describe its observation: write it again with `export"):
+    with pytest.raises(PolicyError, match="does not describe its observation: write it again with `ros2 run"):
         load_policy(source)
     assert export([str(source), "--task", str(task), "--output", str(output)]) == 0
     assert load_policy(output).robot == "differential_drive"

@@ -87,7 +87,9 @@ def _interface(actor: Actor) -> PolicyManifest:
         task = load_navigation_task(name)
         if task_digest(task) == actor.manifest.get("task_digest"):
             return interface_of(task)
-    raise PolicyError("does not describe its observation: write it again with `export --task FILE` of its package")
+    raise PolicyError(
+        "does not describe its observation: write it again with `ros2 run ctrl_rl_learning export --task FILE`"
+    )
 
 
 KIND = PolicyKind(load_actor_policy, shipped_actors, describe_actor)

@@ -162,7 +162,8 @@ def read_training(options: TaskPlotOptions, kind: type[Figures]) -> tuple[dict[s
     task = find_learnt_task(options.results, figures["task"], options.task, ResultsError)
     name = task.name
     if name != figures["task"]:
-        raise ResultsError(f"{options.results}: belongs to task '{figures['task']}', not '{name}': omit --task")
+        advice = "omit --task" if figures["task"] in task_names() else "give its file by --task"
+        raise ResultsError(f"{options.results}: belongs to task '{figures['task']}', not '{name}': {advice}")
     size = len(task.system.build().state_names)
     if any(len(path["states"][0]) != size for paths in figures["paths"].values() for path in paths):
         raise ResultsError(f"{options.results}: its paths do not have {size} states, as task '{name}' does")

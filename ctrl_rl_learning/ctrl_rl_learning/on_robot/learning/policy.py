@@ -92,7 +92,9 @@ def read_or_clone(
 
 def _with_interface(actor: Actor, name: str, motion: bool) -> tuple[Actor, PolicyManifest]:
     if actor.interface is None:
-        raise LearningError(f"{name} does not describe its observation: write it again with `export` of its package")
+        raise LearningError(
+            f"{name} does not describe its observation: write it again with `ros2 run ctrl_rl_learning export`"
+        )
     if motion and not actor.interface.observes("command"):
         interface = with_motion(actor.interface)
         span = 0.5 * (actor.high - actor.low)
