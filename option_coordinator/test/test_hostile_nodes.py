@@ -126,7 +126,7 @@ def test_a_thawed_coordinator_grants_nothing_in_its_dead_epoch(rig):
     rig.coordinator(*names)
     rig.robot("r0", lasts=0.05)
     rig.robot("r1", lasts=0.05)
-    for _ in range(4):
+    for _ in range(2):
         goes_on(rig)
         frozen = rig.until(lambda: rig.deciding(*names), "one decides")
         dead = max(grant.coordinator_epoch for grant in rig.grants)

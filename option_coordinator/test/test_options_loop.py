@@ -76,6 +76,9 @@ def test_the_loop_goes_round_and_goes_on_where_it_was(tmp_path, capsys):
     assert again["returns"] == first["returns"]
     assert loop(["--careless", "2"]) == 1
     assert "--careless must be a probability" in capsys.readouterr().err
+    assert loop(["--episodes", "9", "--folder", str(tmp_path / "few")]) == 1
+    assert "--episodes must be at least 10" in capsys.readouterr().err
+    assert not (tmp_path / "few").exists()
 
 
 def test_bags_tell_what_a_policy_would_earn(bag, tmp_path, capsys):
@@ -105,7 +108,7 @@ def test_bags_tell_what_a_policy_would_earn(bag, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "a bag: was recorded by another team, of " in said
     assert said.count("\n") == 1
-    with pytest.raises(CtrlRlError, match="at least 10 are needed"):
+    with pytest.raises(CtrlRlError, match="3 episodes are too few for an evaluation: record 7 more"):
         evaluate_offline(found[:3], policy)
 
 

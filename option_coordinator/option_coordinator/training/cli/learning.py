@@ -177,7 +177,10 @@ def _loop(options: LoopOptions) -> int:
         raise CommandError(f"--careless must be a probability, 0 to 1, not {options.careless:g}")
     tasks = [load_option_task(task).name for task in options.tasks]
     from option_coordinator.training.experiments.closed_loop import LoopSettings, run_loop
+    from option_coordinator.training.experiments.offline_evaluation import LEAST_EPISODES
 
+    if options.episodes < LEAST_EPISODES:
+        raise CommandError(f"--episodes must be at least {LEAST_EPISODES}: each round is evaluated from them")
     found: dict[str, list[list[dict[str, Any]]]] = {}
     try:
         for seed in range(options.seeds):

@@ -129,7 +129,9 @@ class BagRun(Run):
                 raise OptionError("MAPPO needs decisions of the initial policy: try --way weighted")
             return "imitation"
         if self.policy is not None and self.policy.greedy:
-            raise OptionError(f"{self.start}: takes its most likely options: what it never tries teaches it nothing")
+            raise OptionError(
+                f"{self.start}: takes its most likely options, so its own decisions teach nothing: try --way weighted"
+            )
         return "mappo"
 
     @cached_property

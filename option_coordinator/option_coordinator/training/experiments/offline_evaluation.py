@@ -27,7 +27,7 @@ from option_coordinator.training.heads.head_parts import ValueNetwork
 Array = NDArray[np.float64]
 _DRAWS = 4
 _BATCH, _RATE, _SHARE = 256, 1e-3, 0.05
-_LEAST_EPISODES = 10
+LEAST_EPISODES = 10
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,9 @@ def evaluate_offline(
     Raises:
         OptionError: There are too few episodes, or they belong to another team.
     """
-    if len(recordings) < _LEAST_EPISODES:
-        raise OptionError(f"the bags have {len(recordings)} episodes: at least {_LEAST_EPISODES} are needed")
+    if len(recordings) < LEAST_EPISODES:
+        missing = LEAST_EPISODES - len(recordings)
+        raise OptionError(f"{len(recordings)} episodes are too few for an evaluation: record {missing} more")
     team = TeamLayout.of(policy.agents)
     for recording in recordings:
         recording.team.check_against(team, "a bag")
