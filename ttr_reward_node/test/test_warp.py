@@ -9,6 +9,7 @@ import pytest
 from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.solvers.decomposition import find_decomposition, solve_decomposed, split
 from ttr_reward_node.solvers.near_nodes import find_near_nodes
+from ttr_reward_node.solvers.node_flags import flag_nodes
 from ttr_reward_node.solvers.solver import solve_task
 from ttr_reward_node.solvers.steps import crossing_time, make_layout
 from ttr_reward_node.solvers.tabulation import make_steps
@@ -106,16 +107,17 @@ def test_outcomes_near_target_and_obstacles_are_the_same(name):
 
     problem = PROBLEMS[name]()
     layout = make_layout(problem)
-    steps = make_steps(problem, layout)
+    steps, reach = make_steps(problem, layout)
+    flags = flag_nodes(problem, layout, reach)
     axes = len(layout.order)
     grid = make_grid(layout.counts[:axes], layout.periodic[:axes], len(layout.outer))
     discounts = np.exp(-1e-3 * steps.durations).astype(np.float32)
     table = StepTable(
         steps.codes, steps.ends, steps.ranges, steps.lengths > 3.5, steps.controls, discounts, steps.durations
     )
-    theirs = find_near_nodes(problem, layout, steps, table, grid, 1e-3)
+    theirs = find_near_nodes(problem, layout, steps, flags.copy(), table, grid, 1e-3)
     ours = find_near_nodes(
-        problem, layout, steps, table, grid, 1e-3, OutcomeFinder(DEVICE.removeprefix("warp:")), 10_000
+        problem, layout, steps, flags, table, grid, 1e-3, OutcomeFinder(DEVICE.removeprefix("warp:")), 10_000
     )
     np.testing.assert_array_equal(ours.flags, theirs.flags)
     np.testing.assert_allclose(ours.outcomes, theirs.outcomes, atol=1e-6)

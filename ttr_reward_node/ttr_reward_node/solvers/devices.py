@@ -8,6 +8,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ttr_reward_node.errors import TimeToReachError
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.problems.problem import TimeToReachProblem
@@ -21,7 +24,7 @@ CPU = "cpu"
 _ON_GPU = 13.0, 8.0, 5e8  # bytes per node (two buffers, choice, flag); per step without its moves; for the rest
 _MOST_NODES = 2**31 - 1  # node indices have 32 bits
 
-MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, StepTable, Grid, float], Sweeper]
+MakeSweeper = Callable[[TimeToReachProblem, Layout, Steps, NDArray[np.uint8], StepTable, Grid, float], Sweeper]
 
 
 def find_device(device: str) -> MakeSweeper:
@@ -69,13 +72,26 @@ def _import_warp(device: str) -> Any:
 
 
 def _on_cpu(
-    problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+    problem: TimeToReachProblem,
+    layout: Layout,
+    steps: Steps,
+    flags: NDArray[np.uint8],
+    table: StepTable,
+    grid: Grid,
+    rate: float,
 ) -> Sweeper:
-    return make_sweeper(layout, grid, table, find_near_nodes(problem, layout, steps, table, grid, rate))
+    return make_sweeper(layout, grid, table, find_near_nodes(problem, layout, steps, flags, table, grid, rate))
 
 
 def _on_warp(
-    name: str, problem: TimeToReachProblem, layout: Layout, steps: Steps, table: StepTable, grid: Grid, rate: float
+    name: str,
+    problem: TimeToReachProblem,
+    layout: Layout,
+    steps: Steps,
+    flags: NDArray[np.uint8],
+    table: StepTable,
+    grid: Grid,
+    rate: float,
 ) -> Sweeper:
     from ttr_reward_node.solvers.warp_near_nodes import BLOCK, OutcomeFinder
     from ttr_reward_node.solvers.warp_sweeper import WarpSweeper, free_memory
@@ -90,5 +106,5 @@ def _on_warp(
             f"{problem.points:,} grid points need {gigabytes(needed)} of the GPU's memory at most, {gigabytes(there)} "
             "are free: take fewer points on some axes (counts), or --device cpu"
         )
-    near = find_near_nodes(problem, layout, steps, table, grid, rate, OutcomeFinder(name), BLOCK)
+    near = find_near_nodes(problem, layout, steps, flags, table, grid, rate, OutcomeFinder(name), BLOCK)
     return WarpSweeper(name, grid, table, near)

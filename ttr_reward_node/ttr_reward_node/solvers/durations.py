@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _EXACT = 1 << 18  # number of durations up to which they are kept until all are known, and distinct ones numbered
+_PART = 1 << 16  # number of codes renumbered at once
 _MOST_CODES = 1 << 16  # number of durations representable by 16 bits
 _DROPPED = 12  # bits of a single-precision number's mantissa that a code lacks: 11 are left, 1 part in 4,096
 _LEAST = -12  # exponent of the shortest duration, in powers of two of the unit; the longest has 32 more
@@ -45,18 +46,25 @@ class DurationTable:
         """Return the code of each duration (slabs, pairs), and the durations by code [s]; code 0 is no step."""
         table = self._table.reshape(len(self._table), -1)
         if self._rounded:
-            return table, self._book(table)
+            return table, self._shorten(table)
         book, found = np.unique(table, return_inverse=True)
         if len(book) < _MOST_CODES:
             zero = int(len(book) == 0 or book[0] > 0.0)  # code 0 means no step, even if every pair has one
             numbers = found.reshape(table.shape).astype(np.uint16) + np.uint16(zero)
             return numbers, np.concatenate((np.zeros(zero), book.astype(np.float64)))
         codes = self._round(table)
-        return codes, self._book(codes)
+        return codes, self._shorten(codes)
 
-    def _book(self, codes: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Return the durations [s] of all codes up to the largest one in use."""
-        bits = (np.arange(codes.max(initial=0), dtype=np.uint32) + np.uint32(_FIRST)) << np.uint32(_DROPPED)
+    def _shorten(self, codes: NDArray[np.uint16]) -> NDArray[np.float64]:
+        """Renumber codes in place so that the shortest duration in use has code 1; return the durations by code [s]."""
+        most = int(codes.max(initial=0))
+        if most == 0:
+            return np.zeros(1)
+        parts = np.array_split(codes, math.ceil(codes.size / _PART))
+        least = min(int(part.min(initial=most, where=part > 0)) for part in parts)
+        for part in parts:
+            np.subtract(part, least - 1, out=part, where=part > 0)
+        bits = (np.arange(least - 1, most, dtype=np.uint32) + np.uint32(_FIRST)) << np.uint32(_DROPPED)
         return np.concatenate(([0.0], bits.view(np.float32) * self._unit))
 
     def _round(self, durations: NDArray[Any]) -> NDArray[np.uint16]:

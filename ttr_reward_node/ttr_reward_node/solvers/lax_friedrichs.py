@@ -15,7 +15,7 @@ from ttr_reward_node.kernels.lax_friedrichs_sweep import Hamiltonian
 from ttr_reward_node.kernels.stencil import make_grid
 from ttr_reward_node.problems.dependence import check_affine_controls
 from ttr_reward_node.problems.problem import TimeToReachProblem
-from ttr_reward_node.solvers.near_nodes import flat
+from ttr_reward_node.solvers.node_flags import flat
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import Layout, make_layout, pairs, rates_under_all_pairs, slab_states
 

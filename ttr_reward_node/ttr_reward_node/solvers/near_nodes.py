@@ -18,13 +18,12 @@ from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.kernels.step_tables import PARTS, trace_paths
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import Block, Derivatives, HeldPairs
+from ttr_reward_node.solvers.node_flags import BEYOND, plane, target_spans
 from ttr_reward_node.solvers.steps import Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # approximate extension of a step to find the target in the cell in which it ends [cells]
-_BEYOND = 1.05  # distance beyond the reach of a step that may affect it, because of its extension [cells]
-_BLOCK = 1 << 11  # number of outcomes computed at once; each needs about 3 kB
-_ROUNDING = 1e-6  # distance below which a node lies on a limit [cells]
+_BLOCK = 1 << 10  # number of outcomes computed at once; each needs about 3 kB
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class NearNodes:
 
     Attributes:
         values: w at the nodes before the first sweep (nodes,): 1 in the target, 0 elsewhere.
-        flags: FREE, NEAR or FIXED (nodes,).
+        flags: Flags (nodes,) of `node_flags.flag_nodes`, NEAR only where a step meets something.
         outcomes: Outcome of each pair's step from the near nodes (near nodes, pairs).
         before_row: Number of near nodes before each row (nodes along the last axis), shape (rows + 1,).
     """
@@ -48,6 +47,7 @@ def find_near_nodes(
     problem: TimeToReachProblem,
     layout: Layout,
     steps: Steps,
+    flags: NDArray[np.uint8],
     table: StepTable,
     grid: Grid,
     rate: float,
@@ -60,6 +60,7 @@ def find_near_nodes(
         problem: Problem with target, obstacles and limits.
         layout: Order of the axes.
         steps: Steps of the slabs.
+        flags: Flags of `node_flags.flag_nodes` (nodes,); those that no step meets become FREE.
         table: The same steps for compiled code.
         grid: Axes for compiled code.
         rate: Rate lambda of the transform [1/s].
@@ -68,12 +69,6 @@ def find_near_nodes(
         block: Number of outcomes per call of `follow`.
     """
     follow = _follow if follow is None else follow
-    failed = problem.blocked() | _beyond_limits(problem, layout)
-    target = problem.in_target()
-    values = flat(target & ~failed, layout).astype(np.float32)
-    flags = np.where(flat(target | failed, layout), np.uint8(FIXED), np.uint8(FREE))
-    del target, failed
-    _flag_near(problem, layout, steps, flags)
     boundary = _boundary_conditions(problem, layout)
     spacings = np.array([axis.spacing for axis in problem.axes])
     derivatives = Derivatives(problem.system, steps.held)
@@ -94,6 +89,7 @@ def find_near_nodes(
     outcomes = np.concatenate(found) if found else np.empty((0, pairs), np.float32)
     last = int(grid["counts"][grid["n"] - 1])
     per_row = np.count_nonzero((flags == NEAR).reshape(-1, last), axis=1)
+    values = (flags == FIXED).astype(np.float32)
     return NearNodes(values, flags, outcomes, np.concatenate(([0], np.cumsum(per_row))))
 
 
@@ -124,11 +120,6 @@ def near_share(problem: TimeToReachProblem, cells: float) -> float:
     return min(share_, 1.0)
 
 
-def flat(shaped: NDArray[Any], layout: Layout) -> NDArray[Any]:
-    """Flatten values at the nodes (grid shape) in the layout's order."""
-    return np.ascontiguousarray(shaped.transpose(layout.order)).ravel()
-
-
 def _paths(
     problem: TimeToReachProblem,
     layout: Layout,
@@ -150,21 +141,23 @@ def _paths(
     fastest = np.abs(paths.last.reshape(-1, *durations.shape)[:, row, column]).max(axis=0)
     ahead[row, column], more[row, column] = _go_on(problem, held, ends[row, column], fastest)
     forward = np.ascontiguousarray(ahead[..., layout.order], dtype=np.float32)
-    plane = [layout.order.index(k) for k in _plane(problem)]
-    reach = np.linalg.norm(moves[..., plane] * spacings[list(_plane(problem))], axis=-1).max(axis=-1)
-    return Paths(durations, moves, forward, more, reach.astype(np.float64))
+    reach = np.zeros(durations.shape)
+    if across := plane(problem):
+        places = [layout.order.index(k) for k in across]
+        reach[:] = np.linalg.norm(moves[..., places] * spacings[list(across)], axis=-1).max(axis=-1)
+    return Paths(durations, moves, forward, more, reach)
 
 
 def _ends_near_target(problem: TimeToReachProblem, layout: Layout, ends: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether steps with ends (k, p, n) end within about a cell of the target, judged along the outer axes."""
     near = np.ones(ends.shape[:-1], dtype=bool)
-    for k, low, high in _target_spans(problem):
+    for k, low, high in target_spans(problem):
         axis = problem.axes[k]
         if k in layout.outer:
             offset = ends[..., k] - 0.5 * (low + high)
             if axis.periodic:
                 offset -= np.round(offset / (axis.upper - axis.lower)) * (axis.upper - axis.lower)
-            near &= np.abs(offset) <= 0.5 * (high - low) + _BEYOND * axis.spacing
+            near &= np.abs(offset) <= 0.5 * (high - low) + BEYOND * axis.spacing
     return near
 
 
@@ -188,11 +181,6 @@ def _go_on(
     return np.where(smooth[..., None, None], ahead, 0.0), more
 
 
-def _plane(problem: TimeToReachProblem) -> tuple[int, ...]:
-    """Return the axes of the clearance."""
-    return () if problem.clearance is None else problem.clearance.axes
-
-
 def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> BoundaryConditions:
     """Return target and obstacles for compiled code."""
     box = np.tile((-np.inf, np.inf), (len(layout.order), 1))
@@ -210,90 +198,10 @@ def _boundary_conditions(problem: TimeToReachProblem, layout: Layout) -> Boundar
     if problem.clearance is not None:
         clearance = problem.clearance.values.reshape(problem.clearance.values.shape[0], -1)
         clearance_axes[:] = [layout.order.index(problem.clearance.axes[i]) for i in (0, -1)]
-    cell = max((problem.axes[k].spacing for k in _plane(problem)), default=0.0)
+    cell = max((problem.axes[k].spacing for k in plane(problem)), default=0.0)
     return BoundaryConditions(
         box, disc, disc_axes, np.ascontiguousarray(clearance, dtype=np.float32), clearance_axes, cell
     )
-
-
-def _flag_near(problem: TimeToReachProblem, layout: Layout, steps: Steps, flags: NDArray[np.uint8]) -> None:
-    """Flag the free nodes (nodes,), flat, from which a step may come within a cell of target or obstacles."""
-    shaped = flags.reshape(layout.slabs, *layout.counts[len(layout.outer) : len(layout.order)])
-    block = max(1, _BLOCK // math.prod(shaped.shape[1:]))
-    for begin in range(0, layout.slabs, block):
-        slabs = np.arange(begin, min(begin + block, layout.slabs))
-        reach = steps.reach[slabs]
-        near = np.ones((1,) * shaped.ndim, dtype=bool)
-        for condition in _may_reach_target(problem, layout, slabs, reach):
-            near = near & condition
-        if problem.clearance is not None:
-            near = near | _may_reach_obstacle(problem, layout, slabs, reach)
-        some = shaped[slabs[0] : slabs[-1] + 1]
-        some[np.broadcast_to(near, some.shape) & (some == FREE)] = NEAR
-
-
-def _may_reach_target(
-    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int8]
-) -> Iterator[NDArray[np.bool_]]:
-    """Yield, per axis of the target, a condition that broadcasts to the nodes of slabs (k,), shape (k, inner counts).
-
-    `reach` (k, n, 2) [cells] is the slabs' reach, as in `Steps`.
-    """
-    for k, low, high in _target_spans(problem):
-        axis = problem.axes[k]
-        nodes = _on_slabs(layout, problem.along(k, axis.nodes), slabs) / axis.spacing
-        ahead = reach[:, layout.order.index(k)].reshape(-1, *(1,) * len(layout.inner), 2)
-        lower, upper = nodes + (ahead[..., 0] - _BEYOND), nodes + (ahead[..., 1] + _BEYOND)
-        turns = (-axis.count, 0, axis.count) if axis.periodic else (0,)
-        meets = [(upper + t >= low / axis.spacing) & (lower + t <= high / axis.spacing) for t in turns]
-        yield np.logical_or.reduce(meets)
-
-
-def _target_spans(problem: TimeToReachProblem) -> Iterator[tuple[int, float, float]]:
-    """Yield each axis of the target with the target's ends along it; a disc has two axes."""
-    names = problem.system.state_names
-    for name, (low, high) in problem.target.intervals.items():
-        yield names.index(name), low, high
-    if (disc := problem.target.disc) is not None:
-        for k, middle in zip(position_indices(names), disc.centre, strict=True):
-            yield k, middle - disc.radius, middle + disc.radius
-
-
-def _may_reach_obstacle(
-    problem: TimeToReachProblem, layout: Layout, slabs: NDArray[np.int64], reach: NDArray[np.int8]
-) -> NDArray[np.bool_]:
-    """Whether obstacles are within reach of the slabs' nodes; arguments and shape as in `_may_reach_target`."""
-    assert problem.clearance is not None
-    spacings = np.array([problem.axes[k].spacing for k in _plane(problem)])
-    places = [layout.order.index(k) for k in _plane(problem)]
-    cells = np.abs(reach[:, places].astype(np.float64)).max(axis=-1)
-    far = np.linalg.norm((cells + _BEYOND) * spacings, axis=-1)
-    clearance = _on_slabs(layout, problem.spread(problem.clearance.values), slabs)
-    return clearance <= far.reshape(-1, *(1,) * len(layout.inner))
-
-
-def _on_slabs(layout: Layout, values: NDArray[Any], slabs: NDArray[np.int64]) -> NDArray[Any]:
-    """Select slabs (k,) of values that broadcast to the grid; the result broadcasts to (k, inner counts)."""
-    outer = len(layout.outer)
-    if not outer:
-        return values.transpose(layout.order)[None]
-    values = values.transpose(layout.order)
-    index = np.unravel_index(slabs, tuple(layout.counts[:outer]))
-    return values[tuple(at if values.shape[k] > 1 else np.zeros_like(at) for k, at in enumerate(index))]
-
-
-def _beyond_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.bool_]:
-    """Whether nodes (grid shape) lie beyond the state's limits, where every trajectory has failed.
-
-    Steps are truncated at a limit of an outer axis, which may lie between two nodes: the outer one is kept, so that the
-    value can be interpolated between both.
-    """
-    beyond = np.zeros((1,) * len(problem.axes), dtype=bool)
-    for k, axis in enumerate(problem.axes):
-        low, high = problem.limits[:, k]
-        slack = (1.0 - _ROUNDING if k in layout.outer else _ROUNDING) * axis.spacing
-        beyond = beyond | problem.along(k, (axis.nodes < low - slack) | (axis.nodes > high + slack))
-    return np.broadcast_to(beyond, problem.counts)
 
 
 def _near_conditions(problem: TimeToReachProblem, cells: NDArray[np.float64]) -> Iterator[NDArray[np.bool_]]:

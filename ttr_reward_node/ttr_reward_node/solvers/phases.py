@@ -97,9 +97,11 @@ class Phases:
         lost, doubtful, found = values < _LOST, values < _CUT, values >= _FOUND
         slow = self._slow(values, doubtful)
         arrived = values[slow]
-        if doubtful.any():  # otherwise no weight was lost, and there is no edge to sharpen
+        blurred = bool(doubtful.any())  # otherwise no weight was lost, and there is no edge to sharpen
+        values[doubtful] = 0.0
+        del doubtful  # a byte a node
+        if blurred:
             lost[slow] = False
-            values[doubtful] = 0.0
             self.sweeper.restart(lost)
             if not self._settle(sharp, _SETTLED[1] * unit, least=2, patient=False):
                 return self._give_up()

@@ -11,6 +11,7 @@ from ttr_reward_node.kernels.stencil import StepTable, make_grid
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.devices import CPU, find_device
 from ttr_reward_node.solvers.near_nodes import near_share
+from ttr_reward_node.solvers.node_flags import flag_nodes
 from ttr_reward_node.solvers.phases import CROSSINGS, Phases, Scales
 from ttr_reward_node.solvers.solution import Progress, SweepResult, require_memory
 from ttr_reward_node.solvers.steps import make_layout, pairs, step_lengths, tried_controls
@@ -46,7 +47,9 @@ def solve(
     require_memory(memory_needed(problem), problem.points)
     use = find_device(device)
     layout = make_layout(problem)
-    steps = make_steps(problem, layout)
+    steps, reach = make_steps(problem, layout)
+    flags = flag_nodes(problem, layout, reach)
+    del reach
     unit = steps.crossing
     tolerance = _TOLERANCE * unit if tolerance is None else tolerance
     crossing = unit * max(layout.counts)
@@ -57,14 +60,15 @@ def solve(
     discounts[0] = 0.0
     long = steps.lengths > _LONG
     table = StepTable(steps.codes, steps.ends, steps.ranges, long, steps.controls, discounts, steps.durations)
-    sweeper = use(problem, layout, steps, table, grid, rate)
-    del steps  # its reach, which the sweeps do not need
+    sweeper = use(problem, layout, steps, flags, table, grid, rate)
     shape = tuple(problem.counts[k] for k in layout.order)
     phases = Phases(sweeper, shape, Scales(unit, crossing, rate, tolerance), max_sweeps, progress)
     converged = phases.run()
     values = sweeper.values
+    number, residual = phases.number, phases.residual
+    del steps, table, sweeper, phases  # the tables, so that the result finds room where they were
     with np.errstate(divide="ignore"):
         np.log(values, out=values)
     values *= np.float32(-1.0 / rate)
     phi = np.abs(values).reshape(shape).transpose(np.argsort(layout.order))
-    return SweepResult(np.ascontiguousarray(phi), phases.number, phases.residual, converged)
+    return SweepResult(np.ascontiguousarray(phi), number, residual, converged)

@@ -24,7 +24,7 @@ from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import Derivatives, HeldPairs
 
-_BLOCK = 1 << 11  # number of steps computed at once, so that their arrays fit into the cache
+_BLOCK = 1 << 10  # number of steps computed at once, so that their arrays fit into the cache
 FEW_AXES, _MANY_AXES = 2, 4
 
 
@@ -82,7 +82,6 @@ class Steps:
         durations: Durations by code [s]; 0 for code 0.
         ends: Displacements at the end (slabs, pairs, n) [1 / PER_CELL cells].
         ranges: Lowest and highest cell of a step's path along each inner axis (slabs, pairs, inner, 2).
-        reach: Lowest and highest cell along each axis over all steps (slabs, n, 2).
         controls: Number of combinations of control and step length; the number of pairs is a multiple of it.
         crossing: Time to cross a cell along the slowest axis at its top speed [s].
     """
@@ -93,7 +92,6 @@ class Steps:
     durations: NDArray[np.float64]
     ends: NDArray[np.int16]
     ranges: NDArray[np.int8]
-    reach: NDArray[np.int8]
     controls: int
     crossing: float
 

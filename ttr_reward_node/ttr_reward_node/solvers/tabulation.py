@@ -29,8 +29,13 @@ _STIFF = 0.2  # duration below which only the fastest axis moves, relative to th
 _PATIENCE = 1.5  # maximum duration relative to the fastest pair at a node, in games on more than two axes
 
 
-def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
-    """Tabulate the steps: every control with every length of `step_lengths`."""
+def make_steps(problem: TimeToReachProblem, layout: Layout) -> tuple[Steps, NDArray[np.int8]]:
+    """Tabulate the steps: every control with every length of `step_lengths`.
+
+    Returns:
+        The steps, and their reach (slabs, n, 2): the lowest and highest cell along each axis over all steps of a slab.
+        The reach is apart, since it is not needed for long, and memory is scarce.
+    """
     cells = step_lengths(problem)
     u, d, controls = pairs(problem, tried_controls(problem, layout))
     spacings = np.array([axis.spacing for axis in problem.axes])
@@ -65,17 +70,17 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> Steps:
     n_pairs = math.prod(shape[1:])
     codes, book = durations.codes()
     u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)
-    return Steps(
+    steps = Steps(
         held=HeldPairs(u.reshape(n_pairs, -1), d.reshape(n_pairs, -1)),
         lengths=np.tile(np.repeat(np.asarray(cells), shape[-1]), disturbances),
         codes=codes,
         durations=book,
         ends=tables.ends.reshape(layout.slabs, n_pairs, -1),
         ranges=tables.ranges.reshape(layout.slabs, n_pairs, len(layout.inner), 2),
-        reach=tables.reach,
         controls=len(cells) * shape[-1],
         crossing=crossing,
     )
+    return steps, tables.reach
 
 
 def _truncating_limits(problem: TimeToReachProblem, layout: Layout) -> NDArray[np.float64]:

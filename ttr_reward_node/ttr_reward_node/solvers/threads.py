@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 _MOST_THREADS = 8  # more threads only wait for the GIL between NumPy calls
 Item = TypeVar("Item")
@@ -29,5 +30,20 @@ def for_each(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Resu
     threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS, len(items))
     if threads <= 1:  # a thread has memory of its own, which stays with the process
         return [work(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, items))
+    found: list[Any] = [None] * len(items)
+    waiting = deque(enumerate(items))
+
+    def take(_part: int, _parts: int) -> None:
+        while True:
+            try:
+                number, item = waiting.popleft()  # atomic, unlike `next` of an iterator of our own
+            except IndexError:
+                return
+            try:
+                found[number] = work(item)
+            except BaseException:
+                waiting.clear()
+                raise
+
+    share(take, threads)  # rather than a future for each item, which would take more memory than small tables
+    return found
