@@ -110,11 +110,12 @@ def _nodes(folder: Path) -> Iterator[Callable[..., NodeProcess]]:
         remap: tuple[str, ...] = (),
         params_file: Path | None = None,
         anew: bool = False,
+        words: tuple[str, ...] = (),
     ) -> NodeProcess:
         options = [part for parameter in parameters for part in ("-p", parameter)]
         options += [part for rule in remap for part in ("-r", rule)]
         options += ["--params-file", str(params_file)] if params_file else []
-        arguments = ("--ros-args", *options) if options else ()
+        arguments = (*words, *(("--ros-args", *options) if options else ()))
         node = NodeProcess(package, executable, arguments, folder / f"{len(started)}-{executable}.log", anew)
         started.append(node)
         return node

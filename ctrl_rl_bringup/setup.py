@@ -19,8 +19,10 @@ setup_package(
             "record_drives = ctrl_rl_bringup.cli.drive:record_drives",
             "report = ctrl_rl_bringup.cli.drive:report",
             "results = ctrl_rl_bringup.cli.drive:results",
+            "stack = ctrl_rl_bringup.cli.stack:stack",
             "transfer = ctrl_rl_bringup.cli.transfer:transfer",
             "trials = ctrl_rl_bringup.cli.drive:trials",
+            "view = ctrl_rl_bringup.view.view_node:main",
         ],
     }
 )

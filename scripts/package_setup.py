@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from glob import glob
@@ -54,5 +55,6 @@ def _through_door(line: str) -> str:
     name, _, place = line.partition(" = ")
     module, _, function = place.partition(":")
     source = Path(f"{module.replace('.', '/')}.py")
-    kind = "node" if source.exists() and "return run_node(" in source.read_text(encoding="utf-8") else "command"
+    text = source.read_text(encoding="utf-8") if source.exists() else ""
+    kind = "node" if re.search(r"return run_nodes?\(", text) else "command"
     return f"{name} = ctrl_rl_core.entry:{kind}.{module}.{function}"

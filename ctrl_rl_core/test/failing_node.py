@@ -11,7 +11,7 @@ if "--without-events" in sys.argv:
     sys.modules["rclpy.experimental"] = None
 
 from ctrl_rl_core.ros.node import ok
-from ctrl_rl_core.ros.running import interruptible
+from ctrl_rl_core.ros.stop_request import interruptible
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 

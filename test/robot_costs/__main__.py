@@ -1,9 +1,10 @@
-"""Measure what the suite costs on a robot: processor, memory, latency beside bare echoes, and --help.
+"""Measure what the suite costs on a robot: processor, memory, latency beside bare echoes, one process, and --help.
 
 python test/robot_costs [--seconds 60] [--repeats 3] [--results docs/results/robot_side.json]
 
 Controller, safety filter, watchdog and recorder drive a made-up robot round an endless corridor in real time, with ten
-scans a second. Three echoes in a row answer the same scans, in the same minute.
+scans a second. Three echoes in a row answer the same scans, in the same minute. After each drive with four processes
+comes one in which `stack` holds all nodes but the watchdog.
 """
 
 from __future__ import annotations
@@ -39,6 +40,12 @@ NODES = {
     "watchdog": ("ctrl_rl_core", "-r", "cmd_vel_raw:=cmd_vel_safe"),
     "recorder": ("ctrl_rl_bags", "-p", "output:=bag"),
 }
+STACKED = {
+    "stack": ("ctrl_rl_bringup", "-p", "output:=bag"),
+    "watchdog": NODES["watchdog"],
+}
+TOGETHER = "stack and watchdog"
+HELD = "controller", "safety_filter", "recorder"
 _START_S = 15.0
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -81,14 +88,15 @@ class Observer:
 
 
 @contextlib.contextmanager
-def started(folder: Path) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Run the made-up robot, the echoes and the suite's nodes."""
+def started(folder: Path, nodes: dict[str, tuple[str, ...]]) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """Run the made-up robot, the echoes and some of the suite's processes."""
     chain = [("scan", "e1"), ("e1", "e2"), ("e2", "cmd_vel_echo")]
     commands = {"robot": [sys.executable, HERE / "_robot.py"]}
     for k, (taken, given) in enumerate(chain):
         commands[f"echo {k}"] = [sys.executable, HERE / "_echo.py", taken, given]
-    for name, (package, *words) in NODES.items():
-        commands[name] = [executable(package, name), "--ros-args", *words]
+    for name, (package, *words) in nodes.items():
+        held = HELD if name == "stack" else ()
+        commands[name] = [executable(package, name), *held, "--ros-args", *words]
     processes = {}
     try:
         for name, command in commands.items():
@@ -114,19 +122,19 @@ def own_memory_mb(pid: int) -> float:
     return sum(int(line.split()[1]) for line in lines if line.startswith("Private_")) / 1024.0
 
 
-def drive(seconds: int) -> dict[str, float]:
+def drive(seconds: int, nodes: dict[str, tuple[str, ...]]) -> dict[str, float]:
     """Return the figures of one drive."""
-    with tempfile.TemporaryDirectory() as folder, started(Path(folder)) as processes:
+    with tempfile.TemporaryDirectory() as folder, started(Path(folder), nodes) as processes:
         node = Node("observer")
         observer = Observer(node, ("cmd_vel", "cmd_vel_echo"))
         spin(node, _START_S)
         for latencies in observer.latencies.values():
             latencies.clear()
-        before, begin = {name: processor_s(processes[name].pid) for name in NODES}, time.monotonic()
+        before, begin = {name: processor_s(processes[name].pid) for name in nodes}, time.monotonic()
         spin(node, seconds)
         passed = time.monotonic() - begin
-        out = {f"{name}: share": 100.0 * (processor_s(processes[name].pid) - before[name]) / passed for name in NODES}
-        out |= {f"{name}: memory": own_memory_mb(processes[name].pid) for name in NODES}
+        out = {f"{name}: share": 100.0 * (processor_s(processes[name].pid) - before[name]) / passed for name in nodes}
+        out |= {f"{name}: memory": own_memory_mb(processes[name].pid) for name in nodes}
         node.destroy_node()
     for topic, name in (("cmd_vel", "suite"), ("cmd_vel_echo", "echoes")):
         latencies = observer.latencies[topic]
@@ -159,15 +167,23 @@ def help_s() -> list[float]:
 def measure(options: Options) -> int:
     """Measure, print and write the figures."""
     rclpy.init()
-    drives = [drive(options.seconds) for _ in range(options.repeats)]
+    pairs = [tuple(drive(options.seconds, nodes) for nodes in (NODES, STACKED)) for _ in range(options.repeats)]
+    drives, stacked = ([pair[k] for pair in pairs] for k in (0, 1))
     help_s()  # the build keeps these pages; after a change of the sources they are made anew
     helps = [help_s() for _ in range(options.repeats)]
     rclpy.try_shutdown()
     rows = []
     for metric, unit, part in (("processor share", "% of a core", "share"), ("own memory", "MB", "memory")):
         rows += [Result(name, metric, unit, [each[f"{name}: {part}"] for each in drives]) for name in NODES]
-        sums = [sum(each[f"{name}: {part}"] for name in NODES) for each in drives]
-        rows.append(Result("all four", metric, unit, sums))
+        sums = [
+            [sum(each[f"{name}: {part}"] for name in nodes) for each in some]
+            for some, nodes in ((drives, NODES), (stacked, STACKED))
+        ]
+        rows += [Result(name, metric, unit, values) for name, values in zip(("all four", TOGETHER), sums, strict=True)]
+        ratios = [two / four for four, two in zip(*sums, strict=True)]
+        rows.append(Result(TOGETHER, f"{metric} over all four", "1", ratios))
+    latencies = [two["suite: p99"] / four["suite: p99"] for four, two in pairs]
+    rows.append(Result(TOGETHER, "latency over all four", "1", latencies))
     both = ("suite", "echoes")
     rows += [Result(name, "latency, p99", "ms", [each[f"{name}: p99"] for each in drives]) for name in both]
     ratios = [each["suite: p99"] / each["echoes: p99"] for each in drives]

@@ -9,6 +9,7 @@ from .path_node_driver import follow_paths as follow_paths
 from .policy import describe_policy as describe_policy
 from .policy import policy_digest as policy_digest
 from .policy import shipped_policies as shipped_policies
+from .policy_node import PolicyNode as PolicyNode
 from .pose_input import POSE_PARAMETERS as POSE_PARAMETERS
 from .pose_input import PoseInput as PoseInput
 from .task_interface import state_ranges as state_ranges

@@ -15,6 +15,7 @@ from .node import warn as warn
 from .parameters import of_robot as of_robot
 from .parameters import robot_parameter as robot_parameter
 from .running import initialise as initialise
+from .running import run_nodes as run_nodes
 from .value_messages import answer as answer
 from .value_messages import as_percent as as_percent
 from .value_server import Valued as Valued

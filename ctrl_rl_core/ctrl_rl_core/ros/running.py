@@ -1,23 +1,23 @@
-"""Runs a node process: startup checks, executor, signals, and a clean shutdown."""
+"""Runs the process of one node or several: startup checks, signals, and a clean shutdown."""
 
 from __future__ import annotations
 
+import ctypes
 import faulthandler
 import inspect
 import os
 import resource
 import signal
 import sys
-import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.logging import LoggingSeverity, get_logger
 from rclpy.signals import SignalHandlerOptions
 
@@ -25,108 +25,73 @@ from ctrl_rl_core.errors import CtrlRlError, one_line
 from ctrl_rl_core.processes.children import end_with_ros2
 from ctrl_rl_core.processes.signals import set_handlers
 from ctrl_rl_core.ros.parameters import ParameterError, help_text
+from ctrl_rl_core.ros.spinning import finish, spin
+from ctrl_rl_core.ros.stop_request import InterruptedWorkError, interruptible, stop_request
 
 if TYPE_CHECKING:
     from ctrl_rl_core.ros.node import SuiteNode
 
-try:
-    from rclpy.experimental import EventsExecutor
-except ImportError:  # rclpy before 7.1.4
-    EventsExecutor = None
-
 EXIT_FAILURE = 1
 EXIT_USAGE = 2
-_POLL_S = 0.1
-_BREATH_S = 0.001
-"""Pause after an error outside of all callbacks [s], so that a repeated error does not saturate the CPU."""
 _FAREWELL_S = 10.0
 """Maximum time for the middleware to close a node [s]."""
+_HEAPS = -8
+"""M_ARENA_MAX of mallopt(3)."""
 _LEAST_FILES = 64
 """Minimum limit of open files and sockets; the middleware alone needs about 30."""
 
 
-class _InterruptedError(BaseException):
-    """A signal arrived during interruptible work."""
-
-
-class _Stop:
-    """Handles the signals that end a process: they request shutdown, and interrupt blocks that allow it.
-
-    Attributes:
-        asked: Whether shutdown was requested.
-        suspended: Whether Ctrl-Z is pending.
-    """
-
-    def __init__(self) -> None:
-        self.asked = self.suspended = False
-        self._may_raise = False
-
-    def suspend(self, _signal: int, _frame: object) -> None:
-        """Record Ctrl-Z."""
-        self.suspended = True
-
-    def __call__(self, _signal: int, _frame: object) -> None:
-        self.asked = True
-        if self._may_raise:
-            self._may_raise = False
-            raise _InterruptedError
-
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Let a signal interrupt this block."""
-        if self.asked:
-            raise _InterruptedError
-        before, self._may_raise = self._may_raise, True
-        try:
-            yield
-        finally:
-            self._may_raise = before
-
-
-_stop = _Stop()
-interruptible = _stop.at_once
-"""Context for long work in a callback, such as reading a file: a signal may abort it anywhere and end the node."""
-
-
 def run_node(kind: type[SuiteNode], arguments: list[str] | None = None) -> int:
-    """Run one node until a stop signal or shutdown, and return the process's exit code.
+    """Run one node until a stop signal or shutdown, and return the process's exit code, as `run_nodes` does."""
+    arguments = sys.argv if arguments is None else arguments
+    if "-h" in arguments[1:] or "--help" in arguments[1:]:
+        _say(help_text(_program(arguments), inspect.getdoc(kind) or "", kind.PARAMETERS), sys.stdout)
+        return 0
+    return run_nodes([kind], arguments)
 
-    The node also ends with the `ros2 run` or `ros2 launch` that started it. Signals are caught here rather than by
+
+def run_nodes(kinds: Sequence[type[SuiteNode]], arguments: list[str]) -> int:
+    """Run nodes in this process until a stop signal or shutdown, and return the process's exit code.
+
+    The nodes also end with the `ros2 run` or `ros2 launch` that started them. Signals are caught here rather than by
     rclpy, which would close the publishers before `SuiteNode.stop` could send its zero velocity. Exit codes: 0 clean
     stop; 1 the work failed; 2 invalid parameter or argument.
     """
-    arguments = sys.argv if arguments is None else arguments
-    program = arguments[0].rsplit("/", 1)[-1]
-    if "-h" in arguments[1:] or "--help" in arguments[1:]:
-        _say(help_text(program, inspect.getdoc(kind) or "", kind.PARAMETERS), sys.stdout)
-        return 0
-    set_handlers(_stop)
-    set_handlers(_stop.suspend, (signal.SIGTSTP,))
+    program = _program(arguments)
+    set_handlers(stop_request)
+    set_handlers(stop_request.suspend, (signal.SIGTSTP,))
     end_with_ros2()
-    node: SuiteNode | None = None
+    _share_one_heap()
+    nodes: list[SuiteNode] = []
     try:
         with interruptible():
-            if not kind.SHARED_MEMORY:
+            if not all(kind.SHARED_MEMORY for kind in kinds):
                 _leave_out_shared_memory()
             extra = initialise(arguments)
             if extra:
                 raise ParameterError(f"unknown argument '{extra[0]}': see --help")
-            node = kind()  # type: ignore[call-arg]
-        _spin(node)
-    except (ExternalShutdownException, _InterruptedError):
+            for kind in kinds:  # one at a time: those made before one that fails are closed
+                nodes.append(kind())  # type: ignore[call-arg]  # noqa: PERF401
+        spin(nodes)
+    except (ExternalShutdownException, InterruptedWorkError):
         pass
     except CtrlRlError as error:
         _say(f"{program}: {error}", sys.stderr)
         return EXIT_USAGE if isinstance(error, ParameterError) else EXIT_FAILURE
     except Exception as error:
-        if _stop.asked:  # reported by the interrupted block itself
+        if stop_request.asked:  # reported by the interrupted block itself
             return 0
-        _say(f"{program}: {'could not start' if node is None else 'failed'}: {one_line(error)}", sys.stderr)
+        started = len(nodes) == len(kinds)
+        _say(f"{program}: {'failed' if started else 'could not start'}: {one_line(error)}", sys.stderr)
         _explain(program)
         return EXIT_FAILURE
     finally:
-        _close(node)
+        _close(nodes)
     return 0
+
+
+def _program(arguments: list[str]) -> str:
+    return arguments[0].rsplit("/", 1)[-1]
 
 
 def initialise(arguments: list[str]) -> list[str]:
@@ -144,6 +109,17 @@ def initialise(arguments: list[str]) -> list[str]:
         raise ParameterError(f"unknown ROS argument {error}: see --help") from None
     except RCLError as error:
         raise ParameterError(f"wrong ROS arguments ({str(error).split(', at ')[0]}): see --help") from None
+
+
+def _share_one_heap() -> None:
+    """Have all threads allocate from one heap; glibc has no environment variable that takes effect after the start.
+
+    By default each of the middleware's threads fills a heap of its own, a third of the memory of a process that holds
+    several nodes. They allocate too little for one lock to matter.
+    """
+    change = getattr(ctypes.CDLL(None), "mallopt", None)
+    if change is not None:
+        change(_HEAPS, 1)
 
 
 def _leave_out_shared_memory() -> None:
@@ -190,56 +166,14 @@ def _check_log_folder() -> None:
         raise ParameterError(f"ROS may not write its log to {path}: set ROS_LOG_DIR")
 
 
-def _executor(node: SuiteNode) -> Any:
-    if node.QUICK and EventsExecutor is not None:
-        return EventsExecutor()
-    if node.QUICK:
-        node.get_logger().info(
-            "this rclpy has no EventsExecutor (7.1.4 has): the usual executor takes twice the time and processor"
-        )
-    return SingleThreadedExecutor()
-
-
-def _spin(node: SuiteNode) -> None:
-    """Run the node's callbacks until a signal or the middleware ends it."""
-    executor = _executor(node)
-    node.executor_name = type(executor).__name__
-    executor.add_node(node)
+def _close(nodes: list[SuiteNode]) -> None:
     try:
-        while not _stop.asked and rclpy.ok():
-            try:
-                executor.spin_once(timeout_sec=_POLL_S)
-            except ExternalShutdownException:
-                raise
-            except Exception as error:  # an unreadable message, or an answer that cannot be sent
-                if _stop.asked:
-                    break
-                node.faults.note("executor", error)
-                time.sleep(_BREATH_S)
-            if node.faults.ended_by is not None:
-                raise node.faults.ended_by
-            if _stop.suspended:
-                _suspend(node)
-    finally:
-        executor.shutdown()  # before its context is destroyed, or its finaliser would complain
-
-
-def _suspend(node: SuiteNode) -> None:
-    """Suspend the process after stopping the robot, since a suspended process cannot stop it."""
-    _stop.suspended = False
-    node.on_suspend()
-    os.kill(os.getpid(), signal.SIGSTOP)
-
-
-def _close(node: SuiteNode | None) -> None:
-    try:
-        if node is not None and rclpy.ok():
-            node.stop()
-            for server in node.goal_servers:
-                server.destroy()
+        for node in nodes:
+            if rclpy.ok():
+                finish(node)
     finally:
         with _soon():
-            if node is not None:
+            for node in nodes:
                 node.destroy_node()
             rclpy.try_shutdown()
 

@@ -24,7 +24,7 @@ from ctrl_rl_core.errors import CtrlRlError
 from ctrl_rl_core.processes.background import Job, start_job
 from ctrl_rl_core.ros.node import LATCHED, RESULT, Status, SuiteNode, ok, warn
 from ctrl_rl_core.ros.parameters import Parameter, ParameterError
-from ctrl_rl_core.ros.running import interruptible
+from ctrl_rl_core.ros.stop_request import interruptible
 from ctrl_rl_core.ros.value_messages import answer, grid_message, slice_message
 from ctrl_rl_core.sensing.live_odometry import LiveOdometry
 from ctrl_rl_core.sensing.odometry import OdometryError, OdometryReader

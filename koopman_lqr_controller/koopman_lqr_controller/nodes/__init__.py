@@ -1,1 +1,5 @@
 """The controller node and the scripted driver."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+from .navigator_node import NavigatorNode as NavigatorNode

@@ -1,0 +1,1 @@
+from .safety_filter_node import SafetyFilterNode as SafetyFilterNode

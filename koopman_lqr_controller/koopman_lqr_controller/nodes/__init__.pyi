@@ -1,0 +1,1 @@
+from .controller_node import Controller as Controller
