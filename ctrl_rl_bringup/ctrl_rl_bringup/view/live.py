@@ -20,9 +20,9 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
-from ctrl_rl_bringup.view.page import PERIOD_S, Page, ReleaseStop, Request, SendGoal, StopRobot, UsePolicy
+from ctrl_rl_bringup.view.page import Page, ReleaseStop, Request, SendGoal, StopRobot, UsePolicy
 from ctrl_rl_bringup.view.reading import SceneReader
-from ctrl_rl_bringup.view.scene import Scene
+from ctrl_rl_bringup.view.scene import PERIOD_S, Scene
 from ctrl_rl_bringup.view.value_slice import ValueSlice
 from ctrl_rl_core import COMMAND, RESULT, SENSOR, Parameter, Robot, SuiteNode
 from ctrl_rl_msgs.msg import LatentState, NavigatorStatus, SafetyStatus

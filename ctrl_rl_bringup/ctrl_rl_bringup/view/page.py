@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import logging
 import math
+import socket
 import sys
 import time
 from collections import deque
@@ -20,10 +21,8 @@ import viser
 from ctrl_rl_bringup.view.access import Access
 from ctrl_rl_bringup.view.drawing import Drawing
 from ctrl_rl_bringup.view.scene import Note, Scene
-from ctrl_rl_core import Robot
+from ctrl_rl_core import CtrlRlError, Robot
 
-PERIOD_S = 0.1
-"""Shortest time between two frames [s]."""
 _TEXT_S = 0.3
 """Shortest time between two texts [s]: a phone has to lay each out."""
 _MOST_REQUESTS = 32
@@ -60,6 +59,10 @@ class UsePolicy:
 Request = SendGoal | StopRobot | ReleaseStop | UsePolicy
 
 
+class PageError(CtrlRlError):
+    """The page cannot be served."""
+
+
 class _Server(viser.ViserServer):
     """A server that no visitor can open to the internet: viser's own takes that as a message from anybody."""
 
@@ -82,6 +85,9 @@ class Page:
 
     Attributes:
         frames: Number of frames drawn.
+
+    Raises:
+        PageError: This machine has no such address.
     """
 
     def __init__(
@@ -91,7 +97,9 @@ class Page:
         self._requests: deque[Request] = deque(maxlen=_MOST_REQUESTS)
         self.frames = 0
         self._text, self._text_at = "", -math.inf
-        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a visitor may be gone at any time
+        _check_host(host)
+        for name in ("websockets.server", "asyncio"):  # a visitor may be gone at any time, or send nonsense
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(StringIO()):  # viser draws a box about its address
             self._server = _Server(host=host, port=port, label=robot.name, verbose=False)
         self._server.gui.configure_theme(show_share_button=False, show_logo=False, control_layout="collapsible")
@@ -152,7 +160,8 @@ class Page:
 
     def close(self) -> None:
         """End the server."""
-        self._server.stop()
+        with redirect_stdout(StringIO()):  # viser says so, too
+            self._server.stop()
 
     def _greet(self, client: viser.ClientHandle) -> None:
         """Give a new visitor the field for the token."""
@@ -203,6 +212,14 @@ class Page:
     def _use_policy(self, name: str) -> None:
         if name in self._policies:
             self._requests.append(UsePolicy(name))
+
+
+def _check_host(host: str) -> None:
+    """Raise if nothing can listen on an address: viser would try for ever."""
+    try:
+        socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError as error:
+        raise PageError(f"--host {host[:100]}: {error.strerror or error}") from None
 
 
 def announce(page: Page, access: Access | None, given: bool) -> None:

@@ -6,14 +6,16 @@ import time
 from bisect import bisect_right
 from collections.abc import Iterator
 from threading import Event, Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ctrl_rl_bags import Bag, BagError, SerializedMessage
-from ctrl_rl_bringup.view.page import PERIOD_S, Page
 from ctrl_rl_bringup.view.reading import SceneReader
-from ctrl_rl_bringup.view.scene import Scene
+from ctrl_rl_bringup.view.scene import PERIOD_S, Scene
 from ctrl_rl_bringup.view.value_slice import ValueSlice
 from ctrl_rl_core import Robot
+
+if TYPE_CHECKING:
+    from ctrl_rl_bringup.view.page import Page
 
 _BEFORE_NS = 2_000_000_000
 """Time before a jump's target from which on all messages are read: transforms come from several nodes [ns]."""

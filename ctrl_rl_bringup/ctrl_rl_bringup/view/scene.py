@@ -12,6 +12,8 @@ from ctrl_rl_core import OccupancyMap
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 
+PERIOD_S = 0.1
+"""Shortest time between two frames [s]."""
 MOST_NOTES, LONGEST_NOTE = 40, 300
 """Limits of the texts: their number, and the letters of each."""
 

@@ -20,6 +20,8 @@ from ctrl_rl_core import CommandError, Robot, find_robot, parse_options, run_com
 if TYPE_CHECKING:
     from ctrl_rl_bringup.view.value_slice import ValueSlice
 
+_LAST_PORT = 64_000
+"""Last port to begin with; the next ones are tried if it is taken."""
 INSTALL = "python -m pip install -r requirements/view.txt"
 _EPILOG = """The page shows the robot, its map, scan, path and value, and the safety filter's set and escape. Whoever
 gives the token on the page may click a goal, stop the robot and choose a policy; without --token a random one is
@@ -56,8 +58,8 @@ class ViewOptions:
         """Check the values. Raises: CommandError: A value is out of range, or viser is not installed."""
         if find_spec("viser") is None:
             raise CommandError(f"needs the package 'viser', which is not installed: {INSTALL}")
-        if not 0 <= self.port <= 65535:
-            raise CommandError(f"--port {self.port}: must be 0 to 65535")
+        if not 0 <= self.port <= _LAST_PORT:
+            raise CommandError(f"--port {self.port}: must be 0 to {_LAST_PORT}")
         if self.bag is not None and self.token:
             raise CommandError("--token: a bag has no robot to move")
 
