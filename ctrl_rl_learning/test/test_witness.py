@@ -36,6 +36,7 @@ from ctrl_rl_core import Actor, Interval, NavigationTask, OccupancyMap, load_nav
 Box = tuple[float, float, float, float]
 """Centre and size of a box [m]."""
 BOXES: tuple[Box, ...] = ((-0.8, 0.7, 0.5, 0.5), (0.9, -0.6, 0.5, 0.5), (0.6, 1.1, 0.4, 0.4))
+EPISODES = 5
 
 
 def room(folder: Path, boxes: Sequence[Box] = BOXES, **changes) -> NavigationTask:
@@ -78,7 +79,7 @@ def mistaken(seen: DriveRecord, place: float, heading: float, seed: int = 0, kee
 def true(tmp_path_factory) -> tuple[NavigationTask, DriveRecord]:
     folder = tmp_path_factory.mktemp("true")
     task = room(folder)
-    return task, record(task, folder / "bag", episodes=8)
+    return task, record(task, folder / "bag", episodes=EPISODES)
 
 
 def walls_of(account: Account) -> list[str]:
@@ -91,26 +92,36 @@ def test_a_true_world_is_not_refused(true: tuple[NavigationTask, DriveRecord]) -
     assert (account.refusal, account.lines) == ("", [])
     assert account.differing < 0.001
     for place, heading in ((0.02, math.radians(0.5)), (0.04, math.radians(1.0))):
-        for seed in range(2):
-            told = examine(mistaken(seen, place, heading, seed), task)
-            assert told.refusal == "", told.lines
+        told = examine(mistaken(seen, place, heading), task)
+        assert told.refusal == "", told.lines
 
 
-@pytest.mark.parametrize("by", [0.1, 0.3, 0.5])
-def test_a_moved_box_is_told_and_refused(true: tuple[NavigationTask, DriveRecord], tmp_path: Path, by: float) -> None:
+DISTANCES = (0.1, 0.3, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("by", "index"),
+    [
+        pytest.param(by, index, marks=[pytest.mark.slow] if index != place else [])
+        for place, by in enumerate(DISTANCES)
+        for index in range(len(BOXES))
+    ],
+)
+def test_a_moved_box_is_told_and_refused(
+    true: tuple[NavigationTask, DriveRecord], tmp_path: Path, by: float, index: int
+) -> None:
+    """Each box is moved to another side."""
     _, seen = true
-    for index, angle in enumerate((0.0, 0.5 * math.pi, math.pi)):
-        boxes = list(BOXES)
-        x, y, *size = boxes[index]
-        boxes[index] = (x + by * math.cos(angle), y + by * math.sin(angle), *size)
-        account = examine(seen, room(tmp_path / f"{angle:.1f}", boxes))
-        assert "--map-from-bag" in account.refusal, (account.lines, angle)
-        x, y = boxes[index][:2]
-        near = [math.dist(place.centre, (x, y)) for place in account.moved_walls]
-        assert max(near) < 0.5 + by
-        again = examine(mistaken(seen, 0.02, math.radians(0.5)), room(tmp_path / f"{angle:.1f}", boxes))
-        # Seen with errors of the pose, 10 cm are told, and more is refused.
-        assert again.refusal or (by == 0.1 and again.places), again.lines
+    boxes, angle = list(BOXES), 0.5 * math.pi * index
+    x, y, *size = boxes[index]
+    boxes[index] = (x + by * math.cos(angle), y + by * math.sin(angle), *size)
+    file = room(tmp_path, boxes)
+    account = examine(seen, file)
+    assert "--map-from-bag" in account.refusal, account.lines
+    assert max(math.dist(place.centre, boxes[index][:2]) for place in account.moved_walls) < 0.5 + by
+    again = examine(mistaken(seen, 0.02, math.radians(0.5)), file)
+    # Seen with errors of the pose, 10 cm are told, and more is refused.
+    assert again.refusal or (by == 0.1 and again.places), again.lines
 
 
 def test_boxes_that_are_missing_in_the_file_or_in_the_world_are_told_apart(
@@ -124,7 +135,7 @@ def test_boxes_that_are_missing_in_the_file_or_in_the_world_are_told_apart(
     assert set(walls_of(removed)) == {"unknown"}
     (place, *_) = removed.moved_walls
     assert math.dist(place.centre, BOXES[0][:2]) < 0.3
-    assert place.episodes >= 5
+    assert place.episodes >= EPISODES - 1
 
 
 def test_what_moves_is_no_moved_wall(tmp_path: Path) -> None:
@@ -171,12 +182,12 @@ def test_odometry_that_began_elsewhere_is_found_in_the_files_frame(
 
 def test_a_drift_of_the_poses_is_no_moved_wall(true: tuple[NavigationTask, DriveRecord]) -> None:
     task, seen = true
-    account = examine(mistaken(seen, 0.3, 0.0, keeps=0.99), task)
+    account = examine(mistaken(seen, 0.3, 0.0, seed=1, keeps=0.99), task)
     assert account.drift > 0.2
     assert account.moved_walls == []
     assert "not of odometry alone" in account.refusal
     drifts = task.model_copy(update={"randomisation": {"odom_drift": Interval(0.0, 0.2)}})
-    assert examine(mistaken(seen, 0.3, 0.0, keeps=0.99), drifts).refusal == ""
+    assert examine(mistaken(seen, 0.3, 0.0, seed=1, keeps=0.99), drifts).refusal == ""
 
 
 def test_speeds_commands_and_states_beyond_the_file_are_told(
@@ -192,7 +203,7 @@ def test_speeds_commands_and_states_beyond_the_file_are_told(
     assert inside.refusal
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 4))])
 def test_random_rooms(tmp_path: Path, seed: int) -> None:
     """A room of boxes drawn at random is not refused; with one of them moved, removed or added it is."""
     random = np.random.default_rng(seed)
@@ -238,7 +249,7 @@ def test_the_picture_shows_walls_beams_and_drives(true: tuple[NavigationTask, Dr
     account = examine(seen, room(tmp_path, BOXES[1:]))
     draw_account(account, tmp_path / "told.png")
     assert (tmp_path / "told.png").stat().st_size > 10_000
-    assert len(account.paths) == 8
+    assert len(account.paths) == EPISODES
 
 
 def shifted_box(folder: Path, episodes: int) -> tuple[NavigationTask, Path, list[str], list[str]]:
@@ -272,7 +283,7 @@ def test_commands_refuse_bags_of_other_walls(tmp_path: Path, capsys) -> None:
 
 
 def test_commands_go_by_the_map_from_the_bag(tmp_path: Path, capsys) -> None:
-    world, policy, common, quick = shifted_box(tmp_path, 10)
+    world, policy, common, quick = shifted_box(tmp_path, 6)
     assert learn_offline([*common, *quick, "--map-from-bag"]) == 0
     said = capsys.readouterr()
     assert "a wall at" not in said.err
