@@ -75,15 +75,15 @@ def test_a_missing_extra_is_said_in_one_line():
 
 def test_a_policy_learns_drives_and_is_saved(tmp_path):
     task = ctrl_rl.load_task("car_ttr")
-    value = ctrl_rl.solve(task, counts=(41, 41, 24))
+    value = ctrl_rl.solve(task, counts=(31, 31, 16))
     policy = ctrl_rl.train(task, "ppo", reward=ctrl_rl.TimeToReach(value), samples=2048, episodes=1)
     policy.save(str(tmp_path / "mine.safetensors"))
     saved = ctrl_rl.load_policy(tmp_path / "mine.safetensors")
-    bare = ctrl_rl.drive(task, policy, seeds=range(3))
-    assert bare.outcomes == ctrl_rl.drive(task, saved, seeds=range(3)).outcomes
-    guarded = ctrl_rl.drive(task, policy, seeds=range(3), filter="safety")
+    bare = ctrl_rl.drive(task, policy, seeds=range(2))
+    assert bare.outcomes == ctrl_rl.drive(task, saved, seeds=range(2)).outcomes
+    guarded = ctrl_rl.drive(task, policy, seeds=range(2), filter="safety")
     assert not guarded.avoidable.any()
-    assert len(guarded) == 3
+    assert len(guarded) == 2
     with pytest.raises(ctrl_rl.CtrlRlError, match="no filter 'magic'"):
         ctrl_rl.drive(task, policy, filter="magic")
     with pytest.raises(ctrl_rl.CtrlRlError, match="is of the states x, y, theta; here they are x, v_x"):
@@ -108,7 +108,7 @@ def test_any_driver_and_any_filter_drive():
     held = ctrl_rl.drive("car_ttr", Straight(), seeds=range(1), filter=lambda _, command: 0.0 * command)
     assert held.outcomes == ("TIMEOUT",)
     assert held.distances[0] < 0.01
-    guarded = ctrl_rl.drive("car_ttr", Straight(), seeds=range(2), filter="safety")
+    guarded = ctrl_rl.drive("car_ttr", Straight(), seeds=range(1), filter="safety")
     assert guarded.collisions == 0.0
     assert (guarded.changed > 0.0).all()
     with pytest.raises(ctrl_rl.CtrlRlError, match="object is no policy"):

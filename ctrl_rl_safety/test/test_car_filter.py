@@ -99,13 +99,14 @@ def wall(x: float, half: float = 6.0) -> Array:
 
 
 @pytest.mark.parametrize("name", CARS)
-def test_the_certified_sweep_contains_the_driven_one(name: str) -> None:
+@pytest.mark.parametrize("count", [400, pytest.param(1500, marks=pytest.mark.slow)])
+def test_the_certified_sweep_contains_the_driven_one(name: str, count: int) -> None:
     """Whatever is certified, the same car, simulated in finer steps and pushed aside, touches no echo."""
     model, random, certified, close = car(name), np.random.default_rng(1), 0, 0
     motion, steered = motion_of(model, _FINE), steered_of(model, _FINE)
     ways = motion_of(model, STEP), steered_of(model, STEP)
     size = 2.0 * model.length
-    for _ in range(1500):
+    for _ in range(count):
         points = random.uniform(-size, size, (int(random.integers(3, 15)), 2))
         begin = (
             0.0,
@@ -132,8 +133,8 @@ def test_the_certified_sweep_contains_the_driven_one(name: str) -> None:
                 break
         assert least > 0.0
         close += least < 0.15
-    assert certified > 300
-    assert close > 30  # or else it would hold for want of anything near
+    assert certified > count / 5
+    assert close > count / 50  # or else it would hold for want of anything near
 
 
 @pytest.mark.parametrize("name", CARS)
