@@ -22,7 +22,7 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(
 ) -> None:
     run, log = tmp_path / "run", tmp_path / "log"
     with log.open("wb") as stream:
-        command_line = [FOLDER / demo, "--output", run, "--speed", "2", *options]
+        command_line = [FOLDER / demo, "--output", run, "--speed", "4", *options]
         process = Preloaded(command_line, stdout=stream, stderr=subprocess.STDOUT)
     deadline = time.monotonic() + 120.0
     while "% of the way" not in log.read_text():
@@ -48,8 +48,9 @@ def test_an_interrupted_demo_leaves_a_bag_and_no_node(
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_a_demo_that_is_killed_or_hung_up_leaves_a_bag_and_no_node(tmp_path: Path, number: int) -> None:
     run, log = tmp_path / "run", tmp_path / "log"
+    start = subprocess.Popen if number == signal.SIGKILL else Preloaded
     with log.open("wb") as stream:
-        process = subprocess.Popen([FOLDER / "demo", "--output", run, "--speed", "2"], stdout=stream, stderr=stream)
+        process = start([FOLDER / "demo", "--output", run, "--speed", "4"], stdout=stream, stderr=stream)
     deadline = time.monotonic() + 120.0
     while "% of the way" not in log.read_text():
         assert process.poll() is None, log.read_text()
