@@ -34,11 +34,18 @@ MISSES = {
     "product": "four axes of some 20 nodes, where a switch within a cell is several per cent of the way",
 }
 """Families of which some systems still break a limit, and why."""
+COSTLY = ("bent", "dubins", "pendulum")
+"""Families whose references take seconds."""
 PLAIN_LIMIT = 0.06
 """Median error of plain value iteration on finer cells."""
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+def families() -> list[object]:
+    """Return the families; those whose references take seconds as slow tests."""
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in COSTLY else []) for name in FAMILIES]
+
+
+@pytest.mark.parametrize("family", families())
 def test_wrong_solutions_are_caught(family: str) -> None:
     seed = next(seeds_of(family, 0))
     case = draw(seed)
@@ -68,7 +75,7 @@ def test_an_edge_that_runs_along_a_row_of_nodes_loses_no_state() -> None:
     assert verdict.lost == verdict.gained == 0
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", families())
 def test_a_seed_draws_the_same_system_again(family: str) -> None:
     seed = next(seeds_of(family, 1000))
     one, other = draw(seed), draw(seed)
