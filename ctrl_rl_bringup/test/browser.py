@@ -109,3 +109,31 @@ class Browser:
             pass
         assert "error" not in answer, answer
         return dict(answer["result"])
+
+
+def send_as_intruder(address: str, *buttons: str) -> None:
+    """Visit the page without a browser, and send what no button of this visitor sends.
+
+    Args:
+        address: Address of the page.
+        buttons: Identifiers of other visitors' buttons, which are pressed.
+    """
+    import msgspec
+    from viser import __version__
+    from websockets.sync.client import connect
+
+    camera = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 3.0), "fov": 1.0, "near": 0.1, "far": 10.0}
+    camera |= {"image_height": 600, "image_width": 800, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0)}
+    click = {"event_type": "click", "ray_origin": (1.0, 0.5, 3.0), "ray_direction": (0.0, 0.0, -1.0)}
+    messages: list[dict[str, object]] = [
+        {"type": "ViewerCameraMessage", **camera},
+        *({"type": "GuiUpdateMessage", "uuid": each, "updates": {"value": True}} for each in buttons),
+        {"type": "ScenePointerMessage", **click, "screen_pos": ((0.5, 0.5),), "modifier": None},
+        {"type": "ShareUrlRequest"},
+        {"type": "nonsense"},
+    ]
+    protocol: Any = f"viser-v{__version__}"
+    with connect(address.replace("http", "ws"), subprotocols=[protocol]) as socket:
+        for message in messages:
+            socket.send(msgspec.msgpack.encode(message))
+        time.sleep(1.0)

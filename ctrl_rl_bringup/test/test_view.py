@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import send_as_intruder
 from commands import check_refused
 from ctrl_rl_bringup.view.access import MOST_WRONG, SPAN_S, Access, TokenError
 from ctrl_rl_bringup.view.recorded import Recording
@@ -218,6 +219,19 @@ def test_a_value_file_is_cut_at_the_heading_of_the_robot(tmp_path: Path) -> None
     assert slices.at(0.5) is not ahead
     assert ahead.heights.shape == (150, 75)
     assert (ahead.heights[0, 0], np.nanmax(ahead.heights)) == pytest.approx((0.0, 1.0), abs=0.02)
+
+
+@WITH_VISER
+def test_a_visitor_without_the_token_moves_nothing() -> None:
+    from ctrl_rl_bringup.view.page import Page
+
+    page = Page("127.0.0.1", 0, ROBOT, Access("swordfish99"))
+    try:
+        page.draw(Scene(pose=(1.0, 2.0, 0.5)))
+        send_as_intruder(page.address)
+        assert page.take_requests() == []
+    finally:
+        page.close()
 
 
 @WITH_VISER

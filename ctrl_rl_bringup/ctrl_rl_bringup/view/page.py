@@ -8,6 +8,7 @@ import math
 import socket
 import sys
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
@@ -100,9 +101,11 @@ class Page:
         _check_host(host)
         for name in ("websockets.server", "asyncio"):  # a visitor may be gone at any time, or send nonsense
             logging.getLogger(name).setLevel(logging.CRITICAL)
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         with redirect_stdout(StringIO()):  # viser draws a box about its address
             self._server = _Server(host=host, port=port, label=robot.name, verbose=False)
-        self._server.gui.configure_theme(show_share_button=False, show_logo=False, control_layout="collapsible")
+        self._server.gui.configure_theme(show_share_button=False, show_logo=False)
+        self._server.gui.main_panel.dock_right()
         self._drawing = Drawing(self._server, robot)
         self._html = self._server.gui.add_html("")
         if access is not None:
