@@ -245,7 +245,7 @@ def test_the_law_learns_which_action_pays() -> None:
         return float(np.abs(u - best(fresh)).mean())
 
     before = distance()
-    for _ in range(1000):
+    for _ in range(600):
         agent.learn(replay, random, generator, None)
     assert distance() < 0.35 * before
 
