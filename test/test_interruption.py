@@ -50,7 +50,8 @@ def test_a_demo_that_is_killed_or_hung_up_leaves_a_bag_and_no_node(tmp_path: Pat
     run, log = tmp_path / "run", tmp_path / "log"
     start = subprocess.Popen if number == signal.SIGKILL else Preloaded
     with log.open("wb") as stream:
-        process = start([FOLDER / "demo", "--output", run, "--speed", "4"], stdout=stream, stderr=stream)
+        words = ["--output", run, "--speed", "4", "--random-width"]  # with no time to reach, which takes seconds
+        process = start([FOLDER / "demo", *words], stdout=stream, stderr=stream)
     deadline = time.monotonic() + 120.0
     while "% of the way" not in log.read_text():
         assert process.poll() is None, log.read_text()
