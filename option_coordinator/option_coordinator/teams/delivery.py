@@ -29,6 +29,7 @@ class Delivery:
 
     def __init__(self, team: TeamFile, name: str) -> None:
         self._team, self._home = team, team.robots[name].home
+        self._endless = team.deliveries == 0
         self._options = tuple(team.options.values())
         self.carries, self.delivered = False, 0
         self.option: int | None = None
@@ -37,11 +38,11 @@ class Delivery:
 
     def see(self, pose: NDArray[np.float64]) -> AgentObservation:
         """Return the observation at a pose x, y, theta (3,), see `OBSERVED`, and the sensible options."""
-        wanted = {Work.WAIT}
-        if self.delivered == self._team.deliveries:
+        wanted = {Work.WAIT, Work.DELIVER} if self.carries else {Work.WAIT}
+        if not self.carries and (self._endless or self.delivered == self._team.deliveries):
             wanted.add(Work.REST)
-        else:
-            wanted.add(Work.DELIVER if self.carries else Work.FETCH)
+        if not self.carries and (self._endless or self.delivered < self._team.deliveries):
+            wanted.add(Work.FETCH)
         observation = np.array((pose[0], pose[1], self.carries, self.delivered), np.float32)
         legal = np.array([option.work in wanted for option in self._options])
         return AgentObservation(observation, legal, f"carries={int(self.carries)} delivered={self.delivered}")
@@ -55,7 +56,9 @@ class Delivery:
         found = _WORK.fullmatch(work)
         if found is None:
             raise OptionError(f"{work!r} is not the work of a robot of a delivery team")
-        self.carries, self.delivered = found[1] == "1", min(int(found[2]), self._team.deliveries)
+        self.carries, self.delivered = found[1] == "1", int(found[2])
+        if not self._endless:
+            self.delivered = min(self.delivered, self._team.deliveries)
 
     def begin(self, option: int, now: float) -> None:
         """Start an option."""
@@ -95,4 +98,4 @@ class Delivery:
 
     def over(self, option: int) -> bool:
         """Return whether the work is finished after an option."""
-        return self._options[option].work is Work.REST
+        return self._options[option].work is Work.REST and not self._endless

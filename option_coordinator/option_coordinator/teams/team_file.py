@@ -21,12 +21,16 @@ from pydantic import Field, PrivateAttr, Strict, model_validator
 from ctrl_rl_core import CtrlRlError, task_names
 from option_coordinator.errors import OptionError
 from option_coordinator.options.options import Agent
+from option_coordinator.protocol.protocol_types import LONGEST_NAME
 from option_coordinator.protocol.team import RobotSpec
 
 FOLDER = FilePath(__file__).parent
 KIND = "team_delivery"
 OBSERVED = ("x", "y", "carries", "deliveries")
 """Observation of a robot: position [m], whether it carries a parcel, and the number of parcels delivered."""
+
+
+Skill = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
 
 
 class Work(StrEnum):
@@ -61,9 +65,15 @@ class NavigationOption(Part):
 
 
 class TeamRobot(Part):
-    """One robot with its home position [m]."""
+    """One robot.
+
+    Attributes:
+        home: Home position [m].
+        skills: What the robot can do that not every robot can: a task may need it.
+    """
 
     home: Point
+    skills: Annotated[tuple[Skill, ...], Strict(False)] = Field(default=(), max_length=100)
 
 
 class TeamRewards(Part):
@@ -94,7 +104,7 @@ class TeamFile(TaskHeader):
         kind: Kind of task, always "team_delivery".
         time_step: Duration of a low-level step, the unit of option durations [s].
         discount: Discount factor gamma of a low-level step.
-        deliveries: Number of deliveries per robot.
+        deliveries: Number of deliveries per robot; 0 if work arrives, and a robot delivers as long as there is any.
         options: Options of every robot by name, in order.
         safe_option: Name of the option that a robot runs while no grant arrives.
         robots: Robots by name, which is also their topic namespace.
@@ -107,7 +117,7 @@ class TeamFile(TaskHeader):
     kind: Literal["team_delivery"]
     time_step: TimeStep
     discount: float = Field(gt=0.0, le=1.0)
-    deliveries: int = Field(gt=0, le=1000)
+    deliveries: int = Field(ge=0, le=1000)
     options: dict[str, NavigationOption] = Field(min_length=1, max_length=1000)
     safe_option: str
     robots: dict[str, TeamRobot] = Field(min_length=1, max_length=1000)

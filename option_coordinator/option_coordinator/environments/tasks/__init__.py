@@ -49,7 +49,7 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
     """Create a task's low-level simulation, driven by options or by low-level actions ("end2end").
 
     Raises:
-        OptionError: The task has no image observation, or no such options.
+        OptionError: The task has no image observation, no such options, or no end.
     """
     if isinstance(task, WaterFilling):
         options: OptionSet = "published" if level == "options" else level
@@ -59,6 +59,8 @@ def make_simulation(task: OptionTask, level: Level = "options", sight: Sight = "
     if isinstance(task, TeamFile):
         if level != "options":
             raise OptionError(f"team '{task.name}' has the options of its file: there is no other set")
+        if not task.deliveries:
+            raise OptionError(f"team '{task.name}' has no number of deliveries to learn with: its work arrives")
         return TeamDeliverySimulation(task)
     if level == "thesis":
         raise OptionError(f"task '{task.name}' has the options of thesis Table 5.1 and Wait: there is no other set")
