@@ -1,0 +1,176 @@
+"""The policy of a team whose work arrives: it follows each task by what its robot reports, and assigns the next one.
+
+What has happened is derived from a robot's own count of deliveries and from whether it carries a parcel, compared with
+its count when the task was assigned. Both outlive the robot's process, and each change of a task is on disk before the
+option that follows from it is granted. Repeating a decision after a crash therefore changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from option_coordinator.navigation.planner import ReactivePlanner
+from option_coordinator.options.options import PolicyQuery
+from option_coordinator.policies.joint_policy import JointOptions
+from option_coordinator.teams.team_file import OBSERVED, TeamFile, Work
+from option_coordinator.work.assignment import FreeRobot, assign
+from option_coordinator.work.task import Change, TaskState
+from option_coordinator.work.travel import Place, TravelTimes
+from option_coordinator.work.work_queue import WorkQueue
+
+_AT_HOME = 2.0 * ReactivePlanner.arrived
+_MOST_BARRED = 2
+"""Decisions in a row in which a robot may not go to a task's destination, after which the task has failed: an option
+that overran is withheld once only, one that overran too often for ever."""
+
+
+class Dispatcher:
+    """Chooses options as a coordinator's policy does, see `PolicyFn`.
+
+    Args:
+        team: The team, whose robots deliver as long as there is work.
+        queue: Its tasks.
+        now: Returns the time of the tasks [s].
+
+    Attributes:
+        strays: Number of parcels on board without a task, since the start.
+    """
+
+    def __init__(self, team: TeamFile, queue: WorkQueue, now: Callable[[], float]) -> None:
+        self._team, self._queue, self._now = team, queue, now
+        self._travel = TravelTimes(team)
+        self._options = team.option_names
+        self._index = {name: index for index, name in enumerate(self._options)}
+        self._barred: Counter[str] = Counter()
+        self.strays = 0
+
+    def __call__(self, query: PolicyQuery) -> tuple[JointOptions, float]:
+        """Return the options (N,) of a decision; their log-probability is 0.
+
+        Raises:
+            OptionError: The tasks cannot be written: nothing has changed then.
+        """
+        options, now = query.running.copy(), self._now()
+        seen = query.observation.reshape(-1, len(OBSERVED))
+        with self._queue.transaction():
+            free = {}
+            for index, name in enumerate(self._team.robots):
+                if query.choosing[index]:
+                    legal = {self._options[i] for i in np.flatnonzero(query.legal[index, : len(self._options)])}
+                    place = (float(seen[index, 0]), float(seen[index, 1]))
+                    option = self._go_on(name, bool(seen[index, 2]), int(seen[index, 3]), legal, now)
+                    options[index] = self._index[option or self._idle(name, place, legal)]
+                    if option is None:
+                        free[name] = self._free(name, place, legal), index
+            heading = Counter(self._options[option] for option in options if option >= 0)
+            robots = [robot for robot, _ in free.values()]
+            waiting = self._queue.waiting() if robots else []
+            for change, robot in assign(waiting, robots, self._travel, now, heading):
+                index = free[robot.name][1]
+                delivered = int(seen[index, 3])
+                self._queue.move(change.task.id, TaskState.ASSIGNED, now, robot.name, base=delivered)
+                options[index] = self._index[change.task.origin]
+        return options, 0.0
+
+    def supervise(self, given_up: Mapping[str, str], lost: Iterable[str]) -> None:
+        """End or return what cannot go on. A parcel on board of a lost robot remains its own.
+
+        Args:
+            given_up: Why robots get no more options, by name.
+            lost: Names of robots that have not been heard for long.
+
+        Raises:
+            OptionError: The tasks cannot be written.
+        """
+        gone, now = {name: f"{name} is lost" for name in lost} | dict(given_up), self._now()
+        with self._queue.transaction():
+            for change in self._queue.held():
+                if change.robot in gone and change.state is TaskState.ASSIGNED:
+                    self._queue.move(change.task.id, TaskState.WAITING, now, reason=gone[change.robot])
+                elif change.robot in given_up:
+                    self._queue.move(change.task.id, TaskState.FAILED, now, reason=given_up[change.robot])
+            for change in self._queue.waiting():
+                if now + self._travel.of_task(change.task) > change.task.latest:
+                    reason = "its latest time can no longer be met: no robot was free early enough"
+                    self._queue.move(change.task.id, TaskState.FAILED, now, reason=reason)
+
+    def _go_on(self, robot: str, carries: bool, delivered: int, legal: set[str], now: float) -> str | None:
+        """Record what a robot has done; return the option to go on with, None if it is free."""
+        change = self._queue.held_by(robot)
+        if change is None and carries:
+            change = self._stray(robot, delivered, now)
+        if change is None:
+            return self._clear(robot, legal) if carries else None
+        if change.state is TaskState.ASSIGNED:
+            return self._fetches(change, carries, delivered, legal, now)
+        return self._delivers(change, carries, delivered, legal, now)
+
+    def _fetches(self, change: Change, carries: bool, delivered: int, legal: set[str], now: float) -> str | None:
+        """Go on with an assigned task."""
+        if carries or delivered > change.base:
+            change = self._queue.move(change.task.id, TaskState.ON_BOARD, now)
+            return self._delivers(change, carries, delivered, legal, now)
+        forgotten = delivered < change.base
+        if change.task.origin in legal and not forgotten:
+            return change.task.origin
+        reason = f"{change.robot} did not get to '{change.task.origin}' in time"
+        if forgotten:
+            reason = f"{change.robot} restarted and does not know its work"
+        self._queue.move(change.task.id, TaskState.WAITING, now, reason=reason)
+        return None
+
+    def _delivers(self, change: Change, carries: bool, delivered: int, legal: set[str], now: float) -> str | None:
+        """Go on with a task on board."""
+        task = change.task
+        if delivered > change.base:
+            late = f"{now - task.latest:.0f} s late" if now > task.latest else ""
+            self._queue.move(task.id, TaskState.DONE, now, reason=late)
+            return None if not carries else self._clear(change.robot, legal)
+        if not carries:
+            reason = f"{change.robot} no longer has it on board: it restarted and does not know its work"
+            self._queue.move(task.id, TaskState.FAILED, now, reason=reason)
+            return None
+        if task.destination in legal:
+            self._barred.pop(task.id, None)
+            return task.destination
+        self._barred[task.id] += 1
+        if self._barred[task.id] < _MOST_BARRED:
+            return self._wait(legal)
+        del self._barred[task.id]
+        reason = f"{change.robot} did not get to '{task.destination}' in time, too often"
+        self._queue.move(task.id, TaskState.FAILED, now, reason=reason)
+        return self._clear(change.robot, legal)
+
+    def _stray(self, robot: str, delivered: int, now: float) -> Change | None:
+        """Return the task of a parcel that a robot has on board without a task: its last one, if nobody else has it."""
+        last = self._queue.last_of(robot)
+        if last is None or last.state is not TaskState.WAITING:
+            self.strays += 1
+            return None
+        return self._queue.move(last.task.id, TaskState.ASSIGNED, now, robot, f"{robot} has it already", base=delivered)
+
+    def _clear(self, robot: str, legal: set[str]) -> str:
+        """Return where to bring a parcel without a task: where its last task goes, else anywhere."""
+        last = self._queue.last_of(robot)
+        stations = [name for name in self._travel.stations(Work.DELIVER) if name in legal]
+        if last is not None and last.task.destination in stations:
+            return last.task.destination
+        return stations[0] if stations else self._wait(legal)
+
+    def _idle(self, robot: str, place: Place, legal: set[str]) -> str:
+        """Return what a robot without a task does: it goes home, out of the others' way, and waits there."""
+        home = [name for name in self._travel.stations(Work.REST) if name in legal]
+        away = math.dist(place, self._team.robots[robot].home) > _AT_HOME
+        return home[0] if home and away else self._wait(legal)
+
+    def _wait(self, legal: set[str]) -> str:
+        waits = [name for name in self._travel.stations(Work.WAIT) if name in legal]
+        return waits[0] if waits else self._team.safe_option
+
+    def _free(self, robot: str, place: Place, legal: set[str]) -> FreeRobot:
+        skills = frozenset(self._team.robots[robot].skills)
+        return FreeRobot(robot, place, skills, frozenset(self._travel.stations(Work.FETCH)) & legal)
