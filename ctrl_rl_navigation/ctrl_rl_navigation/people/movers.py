@@ -43,7 +43,7 @@ def mover(
     end: float = math.inf,
     acceleration: float = _ACCELERATION,
 ) -> Array:
-    """Return a row (12,).
+    """Return a prediction as a row (12,).
 
     Args:
         place: Position at time 0 (2,) [m].
