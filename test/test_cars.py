@@ -161,6 +161,7 @@ def test_a_hybrid_a_star_needs_about_as_long() -> None:
 
 def test_it_writes_a_method_a_map_and_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     output = tmp_path / "cars.json"
+    monkeypatch.setattr("cars.maps.make_maze", lambda random: make_maze(random, 3, 3))
     words = ["cars", "--maps", "maze", "--goals", "1", "--plans", "1", "--output", str(output)]
     monkeypatch.setattr("sys.argv", words)
     assert main() == 0
