@@ -2,7 +2,8 @@
 
 A policy's controller, or the navigator with navigate:=true, commands on cmd_vel_raw; with filter:=true, the default of
 the navigator, the safety filter sends safe commands on cmd_vel_safe; only the watchdog talks to the robot, on cmd_vel.
-It stops the robot if the nodes before it die. If it dies itself it is restarted, and begins with zeros.
+It stops the robot if the nodes before it die. If it dies itself it is restarted, and begins with zeros. record:=true
+adds a bag of the drive, view:=true a page in the browser, and params:=FILE the parameters that are no arguments.
 """
 
 from launch import LaunchDescription, Substitution
@@ -10,7 +11,7 @@ from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
-from launch_ros.actions import Node
+from launch_ros.actions import Node, SetParametersFromFile
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
@@ -33,6 +34,10 @@ ARGUMENTS = {
     "pose": ("tf", "where the pose on the map comes from: tf (map -> base) or amcl_pose"),
     "mover_speed": ("0.0", "maximum speed of people and other robots around, for the filter [m/s]"),
     "use_map": ("false", "whether the topic map tells the filter what never moves"),
+    "record": ("false", "whether to record a bag"),
+    "bag": ("", "folder of the bag; empty for bag_<date>-<time> in the working folder"),
+    "view": ("false", "whether to show the robot in the browser, on port 8080 of this computer"),
+    "params": ("", "YAML file with parameters of the nodes; arguments take precedence"),
     "use_sim_time": ("false", "whether time is that of the topic clock, as beside a simulator"),
 }
 _NAVIGATION = ("map", "pose", "robot", "filter", "mover_speed", "use_map", "stamped", "timeout", "use_sim_time")
@@ -48,12 +53,14 @@ def generate_launch_description() -> LaunchDescription:
     filters, navigates = (("'", given[name], "'.lower() in ('true', '1')") for name in ("filter", "navigate"))
     last = PythonExpression(["'cmd_vel_safe' if ", *filters, " else 'cmd_vel_raw'"])
     alone = PythonExpression([*filters, " and not ", *navigates])
+    has_file = PythonExpression(["'", given["params"], "' != ''"])
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=meaning)
                 for name, (default, meaning) in ARGUMENTS.items()
             ),
+            SetParametersFromFile(given["params"], condition=IfCondition(has_file)),
             Node(
                 package="ctrl_rl_core",
                 executable="watchdog",
@@ -88,6 +95,21 @@ def generate_launch_description() -> LaunchDescription:
             ),
             _included("ctrl_rl_navigation", "navigation", given["navigate"], _NAVIGATION),  # with a filter of its own
             _included("ctrl_rl_safety", "safety_filter", alone, _FILTER),
+            Node(
+                package="ctrl_rl_bags",
+                executable="recorder",
+                parameters=[{"output": ParameterValue(given["bag"], value_type=str), "use_sim_time": clock}],
+                condition=IfCondition(given["record"]),
+                output="screen",
+            ),
+            Node(
+                package="ctrl_rl_bringup",
+                executable="view",
+                arguments=["--robot", given["robot"]],
+                parameters=[{"enable_stamped_cmd_vel": stamped, "use_sim_time": clock}],
+                condition=IfCondition(given["view"]),
+                output="screen",
+            ),
         ]
     )
 
