@@ -25,7 +25,11 @@ from ctrl_rl_core import CtrlRlError, Result, parse_options, run_command, write_
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 _HANDED_ON = ("PIP_", "SSL_", "http_proxy", "https_proxy", "no_proxy", "REQUESTS_CA_BUNDLE")
-_OF_THE_MACHINE = ("etc/resolv.conf", "etc/apt/sources.list.d", "etc/apt/apt.conf.d", "etc/pip.conf")
+_OF_THE_MACHINE = (
+    *("etc/resolv.conf", "etc/hosts", "etc/apt/sources.list.d", "etc/apt/apt.conf.d"),
+    *("etc/pip.conf", "etc/xdg/pip", "root/.config/pip", "usr/local/share/ca-certificates"),
+)
+"""How this machine reaches packages, relative to its root."""
 _MEGABYTE = 1e6
 
 
@@ -40,7 +44,7 @@ class Options:
     mirror: str = "http://deb.debian.org/debian"
     """Mirror of Debian's packages."""
     bind: tuple[Path, ...] = ()
-    """Folders of this machine that the root sees too, such as an index of packages."""
+    """Folders of this machine that the root may read, such as an index of packages."""
     results: OptionalFileToWrite = None
     """JSON file of the results."""
 
@@ -99,7 +103,8 @@ def _changed_root(options: Options, folder: str, words: str) -> list[str]:
     mounts = [f"mount -t proc proc {root}/proc", f"mount --rbind /dev {root}/dev"]
     for path in options.bind:
         there = f"{root}{shlex.quote(str(path.resolve()))}"
-        mounts.append(f"mkdir -p {there} && mount --rbind {shlex.quote(str(path.resolve()))} {there}")
+        mounts.append(f"mkdir -p {there} && mount --bind {shlex.quote(str(path.resolve()))} {there}")
+        mounts.append(f"mount -o remount,ro,bind {there}")
     handed = {name: value for name, value in os.environ.items() if name.startswith(_HANDED_ON)}
     kept = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "DEBIAN_FRONTEND": "noninteractive", **handed}
     known = " ".join(f"{name}={shlex.quote(value)}" for name, value in kept.items())
