@@ -141,7 +141,7 @@ class Drawing:
 
     def _look_at(self, x: float, y: float, size: float) -> None:
         """Let new visitors, and those who are here, see the whole map from the south."""
-        position, target = (x, y - 0.65 * size, 0.85 * size), (x, y, 0.0)
+        position, target = (x, y - 0.5 * size, 0.65 * size), (x, y, 0.0)
         camera = self._server.initial_camera
         camera.position, camera.look_at = position, target
         for client in self._server.get_clients().values():

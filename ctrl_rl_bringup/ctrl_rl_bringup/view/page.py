@@ -27,7 +27,7 @@ from ctrl_rl_core import CtrlRlError, Robot
 _TEXT_S = 0.3
 """Shortest time between two texts [s]: a phone has to lay each out."""
 _MOST_REQUESTS = 32
-_FARTHEST = 1e6
+_FARTHEST, _LAST = 1e6, 1e9
 _COLOURS = ("inherit", "#E69F00", "#D55E00", "#8C8C8C")
 """Colours of texts by level."""
 
@@ -107,7 +107,7 @@ class Page:
         self._server.gui.configure_theme(show_share_button=False, show_logo=False)
         self._server.gui.main_panel.dock_right()
         self._drawing = Drawing(self._server, robot)
-        self._html = self._server.gui.add_html("")
+        self._html = self._server.gui.add_html("", order=_LAST)  # texts grow, and the button Stop must not move
         if access is not None:
             self._server.on_client_connect(self._greet)
 
