@@ -28,6 +28,7 @@ from option_coordinator.nodes.messages import (
     status_of,
 )
 from option_coordinator.nodes.option_agent import STEADY, Clocks, steady_time
+from option_coordinator.nodes.work_board import open_board
 from option_coordinator.options.options import PolicyQuery
 from option_coordinator.policies.joint_policy import JointOptions
 from option_coordinator.policies.policy_file import OptionPolicy
@@ -77,9 +78,11 @@ class OptionCoordinator(SuiteNode):
         self._now = Clocks(self)
         self._began = False
         self._held_up = LATE * timeouts.lease
+        self._board = open_board(self, self._team, self._team_name(), lambda: self._now().stamp)
         chooses, digest = self._chooser()
         begin, team = ClockReading(0.0, 0.0, 0.0), TeamId(self._team_name(), self._team.digest if self._team else "")
-        memory = WorkMemory(Path(self.settings["memory"]) if self.settings["memory"] else None, team.name)
+        kept = self.settings["memory"] or self.settings["work"]
+        memory = WorkMemory(Path(kept) if kept else None, team.name)
         self._coordinator = Coordinator(
             self._robots, chooses, digest, begin, timeouts, discount=discount, team=team, memory=memory
         )
@@ -98,6 +101,8 @@ class OptionCoordinator(SuiteNode):
         self._window = self.create_timer(max(timeouts.batch_window, 1e-4), self._end_batch, clock=STEADY)
         self._window.cancel()
         self.create_timer(_HOUSEKEEPING_S, partial(self._work, self._coordinator.tick), clock=STEADY)
+        if self._board is not None:
+            self._board.follow(self._coordinator)
         of_team = f"{len(self._robots)} robots of team '{self._coordinator.team.name}'"
         self.get_logger().info(f"policy {self._policy_name(digest)}, {of_team}")
 
@@ -117,6 +122,7 @@ class OptionCoordinator(SuiteNode):
         figures: dict[str, object] = {"epoch": coordinator.epoch, "policy": coordinator.digest or "scripted"}
         figures |= {"team": coordinator.team.name, "clock set": self._now.task.jumps}
         figures |= {"epochs not believed": coordinator.epochs_not_believed}
+        figures |= self._board.figures if self._board is not None else {}
         figures |= {f"robots {state}": count for state, count in states.items()} | dict(counts)
         if self._policy_times:
             p50, p99 = np.percentile(self._policy_times, (50, 99)) * 1e3
@@ -136,6 +142,8 @@ class OptionCoordinator(SuiteNode):
         """Close the recorded episode; its last step is delivered before the publisher closes."""
         self._work(self._coordinator.close)
         self._steps.wait_for_all_acked(_LAST_WORD)
+        if self._board is not None:
+            self._board.tell()
 
     def _prepare(self) -> tuple[CoordinatorTimeouts, float]:
         """Set up the team's robots, and return timeouts and discount."""
@@ -168,6 +176,10 @@ class OptionCoordinator(SuiteNode):
                 team.
         """
         name, generator = self.settings["policy"], np.random.default_rng(self.settings["seed"])
+        if self._board is not None:
+            if name != "spread":
+                raise OptionError("parameter 'work' assigns the tasks that arrive: leave out 'policy'")
+            return self._timed(self._board.dispatcher), ""
         if name == "uniform":
             return self._timed(uniform_policy(generator)), ""
         if name == "spread":

@@ -22,6 +22,13 @@ PARAMETERS = (
         live=True,
         kind="path",
     ),
+    Parameter(
+        "work",
+        "",
+        "SQLite file of tasks that arrive by the services ~/submit_work, ~/change_work and ~/query_work, and that are "
+        "assigned in place of a policy; for a team with 'deliveries: 0'. Empty for a team with a fixed number.",
+        kind="path",
+    ),
     Parameter("policy_digest", "", "SHA-256 (hex) that a policy file must have from now on; empty for any.", live=True),
     Parameter(
         "batch_window",
@@ -51,7 +58,8 @@ PARAMETERS = (
     Parameter(
         "memory",
         "",
-        "SQLite file that keeps what the robots carry and have delivered; empty to keep it in memory only.",
+        "SQLite file that keeps what the robots carry and have delivered; empty for the file of 'work', or to keep it "
+        "in memory only.",
         kind="path",
     ),
     Parameter("safe_option", 0, "Index of the safe option, if no team file gives it.", 0, 10000),

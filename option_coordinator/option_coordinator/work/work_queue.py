@@ -105,7 +105,7 @@ class WorkQueue:
                 return before
             if before is not None and (before.task, before.reason) == (task, refusal):
                 return before
-            if not refusal and self._count_open() >= MOST_OPEN:
+            if not refusal and sum(self.unfinished_counts().values()) >= MOST_OPEN:
                 raise OptionError(f"task {task.id!r}: the queue is full, {MOST_OPEN} tasks are not finished")
             self._append(Change(0, now, task, TaskState.SUBMITTED, submitted=now))
             state = TaskState.REFUSED if refusal else TaskState.WAITING
@@ -197,14 +197,20 @@ class WorkQueue:
         rows = self._rows("robot = ? ORDER BY number DESC", robot, limit=1)
         return self.present(rows[0].task.id) if rows else None
 
+    def unfinished_counts(self) -> dict[TaskState, int]:
+        """Return the number of unfinished tasks in each state."""
+        query = f"SELECT state, COUNT(*) FROM changes WHERE team = ? AND last AND {_OPEN} GROUP BY state"
+        with self._told():
+            return {TaskState(state): count for state, count in self._base.execute(query, (self._team,))}
+
+    def newest(self) -> int:
+        """Return the number of the last change of the file; 0 for none."""
+        with self._told():
+            return int(self._base.execute("SELECT COALESCE(MAX(number), 0) FROM changes").fetchone()[0])
+
     def since(self, number: int) -> list[Change]:
         """Return the changes after a number, in order; the last ones if there are more than `MOST_ROWS`."""
         return self._rows("number > ? ORDER BY number DESC", number)[::-1]
-
-    def _count_open(self) -> int:
-        with self._told():
-            row = self._base.execute(f"SELECT COUNT(*) FROM changes WHERE team = ? AND last AND {_OPEN}", (self._team,))
-            return int(row.fetchone()[0])
 
     def _rows(self, where: str, *values: str | int, limit: int = MOST_ROWS) -> list[Change]:
         query = f"SELECT {_COLUMNS} FROM changes WHERE team = ? AND {where} LIMIT ?"
