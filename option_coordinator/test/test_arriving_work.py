@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from option_coordinator.nodes.work_board import LAST_CHANGES
+from option_coordinator.protocol.protocol_types import GrantStatus
 from option_coordinator.teams.team_file import FOLDER
 
 from ctrl_rl_msgs.msg import WorkState, WorkTask
@@ -33,10 +34,10 @@ class Work:
     def start(self):
         self.rig.coordinator(policy="spread", team=self.team, work=self.folder / "work.sqlite")
 
-    def robots(self):
-        for name in ROBOTS:
+    def robots(self, *names, way=0.1):
+        for name in names or ROBOTS:
             memory = self.folder / f"{name}.sqlite"
-            self.rig.start(name, ROBOT, robot=name, team=self.team, memory=memory)
+            self.rig.start(name, ROBOT, robot=name, team=self.team, memory=memory, way=way)
 
     def call(self, name, request):
         """Return the answer of a service, or None if the coordinator was killed before it answered."""
@@ -121,13 +122,25 @@ def test_no_task_is_lost_or_done_twice_though_the_coordinator_is_killed_five_tim
     assert rig.counted("parcels without a task") == 0
 
 
+def test_an_idle_robot_is_called_when_work_arrives(work):
+    work.team.write_text(
+        work.team.read_text().replace("longest: 5.0 s, lasts: 0.2 s", "longest: 900.0 s, lasts: 800.0 s")
+    )
+    work.start()
+    work.robots("robot_1")
+    work.rig.until(lambda: work.rig.running("robot_1"), "it waits")
+    work.submit("a")
+    work.rig.until(lambda: work.changes[-1].state == WorkState.DONE, "it is done")
+    assert {grant.reason for grant in work.rig.given("robot_1", GrantStatus.CANCELLED)} == {"there is work"}
+
+
 def test_a_robot_that_dies_leaves_its_task_to_another(work):
     work.start()
-    work.rig.start("robot_1", ROBOT, robot="robot_1", team=work.team, memory=work.folder / "r", way=600.0)
+    work.robots("robot_1", way=600.0)
     work.submit("a")
     work.rig.until(lambda: WorkState.ASSIGNED in [change.state for change in work.changes], "it is assigned")
     work.rig.kill("robot_1")
-    work.rig.start("robot_2", ROBOT, robot="robot_2", team=work.team, memory=work.folder / "r2")
+    work.robots("robot_2")
     work.rig.until(lambda: work.changes[-1].state == WorkState.DONE, "it is done")
     assert work.changes[-1].robot == "robot_2"
     assert "robot_1 is lost" in [change.reason for change in work.changes]

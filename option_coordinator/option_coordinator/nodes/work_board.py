@@ -20,7 +20,7 @@ from option_coordinator.errors import OptionError
 from option_coordinator.nodes.option_agent import STEADY
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.ledger import State
-from option_coordinator.teams.team_file import TeamFile
+from option_coordinator.teams.team_file import TeamFile, Work
 from option_coordinator.work.admission import Admission
 from option_coordinator.work.dispatcher import Dispatcher
 from option_coordinator.work.task import DELIVERY, Change, Task, TaskState
@@ -54,6 +54,8 @@ class WorkBoard:
     def __init__(self, node: SuiteNode, team: TeamFile, name: str, file: Path, now: Callable[[], float]) -> None:
         self._node, self._now = node, now
         self._coordinator: Coordinator | None = None
+        rests = (Work.WAIT, Work.REST)
+        self._rests = [index for index, option in enumerate(team.options.values()) if option.work in rests]
         self._queue, self._admission = WorkQueue(file, name), Admission(team)
         self.dispatcher = Dispatcher(team, self._queue, now)
         self._published = max(0, self._queue.newest() - MOST_ROWS)
@@ -72,7 +74,7 @@ class WorkBoard:
     def follow(self, coordinator: Coordinator) -> None:
         """Publish changes, and supervise the robots' tasks, while this coordinator decides."""
         self._coordinator = coordinator
-        self._node.create_timer(_TELLS_S, self.tell, clock=STEADY)
+        self._node.create_timer(_TELLS_S, self._tend, clock=STEADY)
         self._node.create_timer(_SUPERVISES_S, self._supervise, clock=STEADY)
 
     def tell(self) -> None:
@@ -85,6 +87,18 @@ class WorkBoard:
             if change.number > self._logged:
                 words = [f"task '{change.task.id}' is {change.state.words}", change.robot, change.reason]
                 self._node.get_logger().info(", ".join(word for word in words if word))
+
+    def _tend(self) -> None:
+        """Publish changes, and call idle robots for which there is work."""
+        self.tell()
+        if self._coordinator is None or not self._coordinator.epoch:
+            return
+        robots = self._coordinator.ledger
+        idle = [
+            name for name, entry in robots.items() if entry.runs and not entry.cancelled and entry.option in self._rests
+        ]
+        for name in self.dispatcher.recalls(idle):
+            robots[name].cancel("there is work")
 
     def _supervise(self) -> None:
         """End or return the tasks of robots that cannot go on, and those that are too late."""

@@ -14,8 +14,6 @@ from option_coordinator.protocol.ledger import RobotState
 from option_coordinator.protocol.protocol_types import Grant, GrantStatus, JointStep, Request, TeamId
 from option_coordinator.protocol.team import RobotSpec
 
-_TOO_LONG = "it exceeds its maximum duration: send a new request"
-
 
 class Refusal(NamedTuple):
     """Reason of a refusal.
@@ -92,7 +90,7 @@ def standing_grant(entry: RobotState, robot: RobotSpec, epoch: int, team: TeamId
         coordinator_epoch=epoch if cancelled else entry.epoch,
         grant_id=entry.grant_id,
         status=GrantStatus.CANCELLED if cancelled else GrantStatus.GRANTED,
-        reason=_TOO_LONG if cancelled else "",
+        reason=cancelled,
         option=entry.option,
         option_name=robot.agent.options[entry.option],
         deadline=robot.durations[entry.option],

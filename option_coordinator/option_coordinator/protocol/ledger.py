@@ -15,6 +15,7 @@ from option_coordinator.errors import OptionError
 from option_coordinator.options.options import NONE
 from option_coordinator.protocol.protocol_types import Request, Status
 
+TOO_LONG = "it exceeds its maximum duration: send a new request"
 MOST_UNHEARD = 1000
 """Maximum number of consecutive requests that may have been lost."""
 
@@ -45,7 +46,7 @@ class RobotState:
         option: Granted option; `NONE` for none.
         granted_at: Start time of the option, as far as known [s], in task time.
         stamp: Stamp of the grant [s].
-        cancelled: Whether the grant was cancelled and the robot has not sent a new request.
+        cancelled: Why the grant was cancelled, until the robot sends a new request; empty if it was not.
         phase: State of the latest request.
         last_heard: Time of the last message [s].
         told_id: Request number in the latest heartbeat; 0 before the first.
@@ -67,7 +68,7 @@ class RobotState:
     option: int = NONE
     granted_at: float = -math.inf
     stamp: float = 0.0
-    cancelled: bool = False
+    cancelled: str = ""
     phase: State = State.UNKNOWN
     last_heard: float = -math.inf
     told_id: int = 0
@@ -175,7 +176,7 @@ class RobotState:
 
     def must_be_told(self, now: float) -> bool:
         """Return whether an unacknowledged grant or a cancellation must be sent (again) at a time [s]."""
-        return (self.cancelled or self.phase is State.GRANTED) and now >= self.repeat_at
+        return (bool(self.cancelled) or self.phase is State.GRANTED) and now >= self.repeat_at
 
     def grant(self, epoch: int, option: int, now: float, stamp: float) -> None:
         """Grant an option that starts now, with its stamp [s].
@@ -217,18 +218,20 @@ class RobotState:
         if told.request_id != self.request_id:
             self.request_id, self.asked_at = told.request_id, now
         self.epoch, self.option, self.granted_at, self.stamp = told.coordinator_epoch, told.option, since, stamp
-        self.grant_id, self.cancelled, self.pending = told.grant_id, False, None
+        self.grant_id, self.cancelled, self.pending = told.grant_id, "", None
         self.phase = State.RUNNING
 
-    def cancel(self) -> None:
+    def cancel(self, reason: str = TOO_LONG) -> None:
         """Cancel the robot's option, which stays reserved until the next request because it may still be running.
+
+        The coordinator tells the robot in its next ticks.
 
         Raises:
             OptionError: The robot has no option.
         """
         if not self.holds:
             raise OptionError(f"'{self.agent}' is {self.state}: there is no option to cancel")
-        self.cancelled = True
+        self.cancelled = reason
 
     def end(self) -> None:
         """Record that the robot neither runs nor requests an option; the answer to its last request is kept.
@@ -253,7 +256,7 @@ class RobotState:
         return True
 
     def _become_idle(self) -> None:
-        self.phase, self.cancelled = State.IDLE, False
+        self.phase, self.cancelled = State.IDLE, ""
 
     def _must_be_heard(self) -> None:
         if self.phase is State.UNKNOWN or self.silence is not None:

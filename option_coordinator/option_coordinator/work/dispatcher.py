@@ -46,6 +46,7 @@ class Dispatcher:
         self._options = team.option_names
         self._index = {name: index for index, name in enumerate(self._options)}
         self._barred: Counter[str] = Counter()
+        self._recalled: set[tuple[str, str]] = set()
         self.strays = 0
 
     def __call__(self, query: PolicyQuery) -> tuple[JointOptions, float]:
@@ -97,6 +98,26 @@ class Dispatcher:
                 if now + self._travel.of_task(change.task) > change.task.latest:
                     reason = "its latest time can no longer be met: no robot was free early enough"
                     self._queue.move(change.task.id, TaskState.FAILED, now, reason=reason)
+
+    def recalls(self, idle: Iterable[str]) -> list[str]:
+        """Return which robots, on their way home or waiting there, should ask again because there is work for them.
+
+        Each robot is called once for each task only: what it may fetch now is not known before it asks.
+
+        Args:
+            idle: Names of the robots without a task.
+        """
+        origins = frozenset(self._travel.stations(Work.FETCH))
+        robots = [
+            FreeRobot(name, self._team.robots[name].home, frozenset(self._team.robots[name].skills), origins)
+            for name in idle
+            if self._queue.held_by(name) is None
+        ]
+        waiting = self._queue.waiting() if robots else []
+        pairs = {(r.name, change.task.id) for change, r in assign(waiting, robots, self._travel, self._now())}
+        new, tasks = pairs - self._recalled, {change.task.id for change in waiting}
+        self._recalled = {pair for pair in self._recalled | new if pair[1] in tasks}
+        return sorted(name for name, _ in new)
 
     def _go_on(self, robot: str, carries: bool, delivered: int, legal: set[str], now: float) -> str | None:
         """Record what a robot has done; return the option to go on with, None if it is free."""
