@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,6 +15,7 @@ from ctrl_rl_core.tasks import require
 from ctrl_rl_bringup.cli.running import own_arguments, run_alone, run_folder, run_here
 from ctrl_rl_bringup.corridor.drive import drive, drive_seeds, follow_running, record_scripted, write_artifacts
 from ctrl_rl_bringup.corridor.report import DriveReport, read_drive
+from ctrl_rl_bringup.runner.beside import page_beside
 from ctrl_rl_bringup.runner.stack import DriveConfig
 from ctrl_rl_core import (
     CtrlRlError,
@@ -134,6 +136,9 @@ class DemoOptions(_RunOptions):
     seed: int = 0
     """Seed of start pose and noise."""
 
+    view: bool = False
+    """Show the drive in a browser, as `view` does."""
+
 
 @dataclass(frozen=True)
 class TrialsOptions(_RunOptions):
@@ -204,7 +209,7 @@ def demo() -> int:
     options = parse_options("demo", DemoOptions)
     if not options.task:
         options = replace(options, task="corridor_head_on" if options.filter else DriveConfig.task)
-    return run_alone("demo", lambda: _demo(options.config("demo", options.seed, options.policy)))
+    return run_alone("demo", lambda: _demo(options.config("demo", options.seed, options.policy), options.view))
 
 
 def trials() -> int:
@@ -245,9 +250,11 @@ def results() -> int:
     return run_here("results", work)
 
 
-def _demo(config: DriveConfig) -> int:
+def _demo(config: DriveConfig, view: bool) -> int:
     print(f"demo: {config.task}, seed {config.seed}, {config.speed:g}x real time, in {config.folder}")
-    return _report(drive(config), config)
+    with page_beside(load_navigation_task(config.task).robot.body) if view else nullcontext():
+        result = drive(config)
+    return _report(result, config)
 
 
 def _report(result: DriveReport, config: DriveConfig) -> int:
