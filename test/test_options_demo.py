@@ -31,7 +31,7 @@ def team(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(team: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     folder = tmp_path_factory.mktemp("options") / "run"
     how = ("--team", team, "--policy", TEAM.name)
-    return folder, command("options_demo", "--speed", 4, "--seed", 1, *how, "--output", folder)
+    return folder, command("options_demo", "--speed", 3, "--seed", 1, *how, "--output", folder)
 
 
 def test_all_parcels_are_delivered_and_nobody_collides(run) -> None:
