@@ -83,6 +83,10 @@ PAGES = {
         0.0,
         skipped={"python -m pip": NETWORK, "ray ": MACHINES, "ros2 run option_coordinator train": MACHINES},
     ),
+    "docs/howto/view.md": Page(
+        0.0,
+        skipped={"python -m pip": NETWORK, "ros2 run ctrl_rl_bringup view": NETWORK, "ssh ": MACHINES},
+    ),
     "docs/howto/nav2.md": Page(40.0, files={"application.py": 0}, skipped={"# on a robot with Nav2": ROBOT}),
     "docs/howto/navigate.md": Page(
         12.0,

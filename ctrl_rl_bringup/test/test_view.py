@@ -116,6 +116,7 @@ def test_a_bag_shows_the_scene_at_each_of_its_times(tmp_path: Path, namespace: s
         assert len(scene.path) == 0
         recording.seek(4.0)
         assert scene.pose == pytest.approx((1.0, 0.4, 0.5 * math.pi), abs=0.011)
+        assert "pose" not in scene.notes
         # The echo lies a metre ahead of the lidar, which the robot's file mounts behind its centre.
         assert scene.scan == pytest.approx(np.array([(1.0, 1.4 + ROBOT.lidar.x)]), abs=0.011)
         assert scene.path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
@@ -146,6 +147,7 @@ def test_what_is_wrong_with_a_message_is_shown_until_a_good_one_comes(tmp_path: 
         recording.advance(5.0)
         assert "scan" not in recording.scene.notes
         assert len(recording.scene.scan) == 1
+        assert recording.scene.notes["pose"].text.startswith("that of the odometry: no transform from 'map' to")
 
 
 def test_a_bag_of_something_else_is_refused(tmp_path: Path) -> None:
@@ -244,6 +246,7 @@ def test_a_visitor_without_the_token_moves_nothing() -> None:
         ("--port 70000: must be 0 to", ("--port", "70000")),
         ("no robot 'nobody'", ("--robot", "nobody")),
         ("there is no such file", ("--value", "none.safetensors")),
+        ("no map 'nowhere'", ("--map", "nowhere")),
         ("--host 203.0.113.7: ", ("--bag", "{bag}", "--host", "203.0.113.7")),
     ],
 )

@@ -38,6 +38,8 @@ _DEPTH, _DEEPEST = 0.1, 1.5
 """Depth of the value's funnel below the floor, as a share of its width and at most [m]."""
 _ON_FLOOR, _PATH, _LINE = 0.005, 0.02, 0.03
 """Heights of the pictures on the floor and of the lines above it, and their width [m]."""
+_NEAR = 10.0
+"""Size of the square around a robot without a map that is looked at first [m]."""
 _SECOND = 1.5
 """Length of a command's arrow: the way of so many seconds [s]."""
 _FASTEST = 2.0
@@ -55,6 +57,7 @@ class Drawing:
     def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
         self._server, self._scene, self._robot = server, server.scene, robot
         self._shown: dict[str, Any] = {}
+        self._looked = False
         self._frame = self._scene.add_frame("/robot", show_axes=False, visible=False)
         self._add_robot()
         none = np.zeros((0, 3), np.float32)
@@ -125,6 +128,8 @@ class Drawing:
         self._frame.visible = pose is not None
         if pose is not None:
             self._frame.position, self._frame.wxyz = (pose[0], pose[1], 0.0), quaternion(pose[2])
+            if not self._looked:  # until there is a map
+                self._look_at(pose[0], pose[1], _NEAR)
 
     def _draw_map(self, scene: Scene) -> None:
         self._remove("/map", "/walls")
@@ -140,7 +145,8 @@ class Drawing:
         self._look_at(x, y, max(width, height))
 
     def _look_at(self, x: float, y: float, size: float) -> None:
-        """Let new visitors, and those who are here, see the whole map from the south."""
+        """Let new visitors, and those who are here, see a square of a size [m] from the south."""
+        self._looked = True
         position, target = (x, y - 0.5 * size, 0.65 * size), (x, y, 0.0)
         camera = self._server.initial_camera
         camera.position, camera.look_at = position, target

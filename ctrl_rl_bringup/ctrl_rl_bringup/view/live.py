@@ -24,7 +24,7 @@ from ctrl_rl_bringup.view.page import Page, ReleaseStop, Request, SendGoal, Stop
 from ctrl_rl_bringup.view.reading import SceneReader
 from ctrl_rl_bringup.view.scene import PERIOD_S, Scene
 from ctrl_rl_bringup.view.value_slice import ValueSlice
-from ctrl_rl_core import COMMAND, RESULT, SENSOR, Parameter, Robot, SuiteNode
+from ctrl_rl_core import COMMAND, RESULT, SENSOR, OccupancyMap, Parameter, Robot, SuiteNode
 from ctrl_rl_msgs.msg import LatentState, NavigatorStatus, SafetyStatus
 
 try:
@@ -52,9 +52,11 @@ class ViewNode(SuiteNode):
     SHARED_MEMORY: ClassVar[bool] = False
     """A page is closed by killing it; what it shared with a driving node would freeze that node."""
 
-    def __init__(self, page: Page, robot: Robot, value: ValueSlice | None = None) -> None:
+    def __init__(
+        self, page: Page, robot: Robot, value: ValueSlice | None = None, map_: OccupancyMap | None = None
+    ) -> None:
         super().__init__("view")
-        self._page, self._value, self._scene = page, value, Scene()
+        self._page, self._value, self._scene = page, value, Scene(map=map_)
         self._reader = SceneReader(self._scene, robot, self.settings["map_frame"].lstrip("/"), value is None)
         self._goal = self.create_publisher(PoseStamped, "goal_pose", 10)
         self._emergency = self.create_publisher(Bool, "emergency_stop", COMMAND)

@@ -144,7 +144,7 @@ class Page:
         """
         gui = self._server.gui
         play = gui.add_checkbox("play", True)
-        line = gui.add_slider("time [s]", 0.0, max(duration, 0.1), 0.1, 0.0)
+        line = gui.add_slider("time [s]", 0.0, max(round(duration, 1), 0.1), 0.1, 0.0)
 
         @play.on_update
         def _(event: Any) -> None:

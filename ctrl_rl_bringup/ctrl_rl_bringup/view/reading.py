@@ -68,9 +68,15 @@ class SceneReader:
 
     def update_pose(self) -> None:
         """Bring the robot's pose up to date; without transforms it is that of the odometry."""
-        if self._base:
-            x, y, yaw = self._place(self._base).pose.tolist()
-            self._scene.pose = x, y, yaw
+        if not self._base:
+            return
+        try:
+            found = self._tree.lookup(self._map_frame, self._base)
+            self._scene.say("pose", "")
+        except TransformError as error:
+            found = self._odometry
+            self._scene.say("pose", f"that of the odometry: {error}", 1)
+        self._scene.pose = _pose(found)
 
     def _place(self, frame: str, stamp: int | None = None) -> Transform:
         """Return the pose of a frame in the map frame, at a time [ns] if it is known."""

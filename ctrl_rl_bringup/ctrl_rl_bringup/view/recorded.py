@@ -12,7 +12,7 @@ from ctrl_rl_bags import Bag, BagError, SerializedMessage
 from ctrl_rl_bringup.view.reading import SceneReader
 from ctrl_rl_bringup.view.scene import PERIOD_S, Scene
 from ctrl_rl_bringup.view.value_slice import ValueSlice
-from ctrl_rl_core import Robot
+from ctrl_rl_core import OccupancyMap, Robot
 
 if TYPE_CHECKING:
     from ctrl_rl_bringup.view.page import Page
@@ -32,6 +32,7 @@ class Recording:
         namespace: Namespace of the robot's topics.
         map_frame: Frame of the map.
         value: Slices of a value file, or None.
+        map_: Map until the bag has one, or None.
 
     Attributes:
         scene: The scene.
@@ -42,9 +43,15 @@ class Recording:
     """
 
     def __init__(
-        self, bag: Bag, robot: Robot, namespace: str = "", map_frame: str = "map", value: ValueSlice | None = None
+        self,
+        bag: Bag,
+        robot: Robot,
+        namespace: str = "",
+        map_frame: str = "map",
+        value: ValueSlice | None = None,
+        map_: OccupancyMap | None = None,
     ) -> None:
-        self.scene = Scene()
+        self.scene = Scene(map=map_)
         self._bag, self._value = bag, value
         self._reader = SceneReader(self.scene, robot, map_frame, value is None)
         prefix = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"

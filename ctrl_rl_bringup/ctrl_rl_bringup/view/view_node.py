@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from ctrl_rl_core.command import EXIT_USAGE
 from ctrl_rl_core.policies import shipped_policies
 from ctrl_rl_core.robots import DEFAULT_ROBOT
+from ctrl_rl_navigation.maps import load_map
 
 from ctrl_rl_bags import open_bag
 from ctrl_rl_bringup.cli.running import own_arguments
-from ctrl_rl_core import CommandError, Robot, find_robot, parse_options, run_command, run_node
+from ctrl_rl_core import CommandError, OccupancyMap, Robot, find_robot, parse_options, run_command, run_node
 
 if TYPE_CHECKING:
     from ctrl_rl_bringup.view.value_slice import ValueSlice
@@ -45,6 +46,9 @@ class ViewOptions:
     value: Path | None = None
     """Value file to show as a surface, at the robot's heading; by default the navigator's time to reach."""
 
+    map: str = ""
+    """Map to show where nobody publishes one: maze, warehouse, corridor, or map_server's .yaml file."""
+
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets others on the network in, over an unencrypted connection."""
 
@@ -72,24 +76,23 @@ def main() -> int:
     return run_command("view", lambda: _show(options), failure=EXIT_USAGE)
 
 
-def _prepared(options: ViewOptions) -> tuple[Robot, ValueSlice | None]:
+def _prepared(options: ViewOptions) -> tuple[Robot, ValueSlice | None, OccupancyMap | None]:
+    """Check the options, and read the files that they name."""
     options.check()
-    robot = find_robot(options.robot)
-    if options.value is None:
-        return robot, None
     from ctrl_rl_bringup.view.value_slice import ValueSlice
 
-    return robot, ValueSlice(options.value)
+    value = None if options.value is None else ValueSlice(options.value)
+    return find_robot(options.robot), value, load_map(options.map) if options.map else None
 
 
 def _play(options: ViewOptions) -> int:
-    robot, value = _prepared(options)
+    robot, value, map_ = _prepared(options)
     assert options.bag is not None
     from ctrl_rl_bringup.view.page import Page, announce
     from ctrl_rl_bringup.view.recorded import Player, Recording
 
     with open_bag(options.bag) as bag:
-        recording = Recording(bag, robot, options.namespace, value=value)
+        recording = Recording(bag, robot, options.namespace, value=value, map_=map_)
         page = Page(options.host, options.port, robot)
         announce(page, None, given=False)
         try:
@@ -102,7 +105,7 @@ def _play(options: ViewOptions) -> int:
 
 
 def _show(options: ViewOptions) -> int:
-    robot, value = _prepared(options)
+    robot, value, map_ = _prepared(options)
     from ctrl_rl_bringup.view.access import Access
     from ctrl_rl_bringup.view.live import ViewNode
     from ctrl_rl_bringup.view.page import Page, announce
@@ -114,7 +117,7 @@ def _show(options: ViewOptions) -> int:
 
         def __init__(self) -> None:
             page = Page(options.host, options.port, robot, access, tuple(shipped_policies()))
-            super().__init__(page, robot, value)
+            super().__init__(page, robot, value, map_)
             announce(page, access, bool(options.token))
 
     return run_node(View, [sys.argv[0], *_ros_arguments(options)])
