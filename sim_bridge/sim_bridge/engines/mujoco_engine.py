@@ -27,7 +27,7 @@ from sim_bridge.errors import SimulationError
 
 _FAR = 1
 _SEEN = np.array((1, 0, 0, 0, 0, 0), np.uint8)
-"""Geom groups for rays; geoms out of reach get another group, since each ray checks every geom."""
+"""Geom groups for rays. Geoms out of reach, since each ray checks every geom, and the lidar's own robot get another."""
 
 
 class MujocoEngine:
@@ -110,6 +110,8 @@ class MujocoEngine:
         in_reach = self._gaps(origin) <= reach
         first = fixed_geom(self._plane, 0)
         self._model.geom_group[first : first + len(in_reach)] = np.where(in_reach, 0, _FAR)
+        for number, other in enumerate(self._robots):  # a robot's wheels are bodies of their own
+            self._model.geom_group[other.geoms] = _FAR if number == robot else 0
         count = len(rays)
         hit, distance = np.empty(count, dtype=np.int32), np.empty(count)
         mujoco.mj_multiRay(
@@ -119,7 +121,7 @@ class MujocoEngine:
             (rays / reach).ravel(),
             _SEEN,
             True,
-            self._robots[robot].body,
+            -1,
             hit,
             distance,
             None,
