@@ -14,7 +14,7 @@ pytestmark = pytest.mark.realtime
 def test_a_quadrotor_flies_to_its_goal_behind_its_guard_and_the_flight_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     # Slowly: on a busy machine late thrusts bring a quadrotor down.
-    words = ("--task", "quad_navigation", "--filter", "--speed", 0.5, "--seed", 3)
+    words = ("--task", "quad_navigation", "--filter", "--speed", 0.3, "--seed", 3)
     answer = command("demo", *words, "--output", folder)
     assert answer.returncode == 0, answer.stderr
     report = json.loads((folder / "report.json").read_text())
