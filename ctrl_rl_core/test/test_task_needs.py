@@ -16,6 +16,10 @@ def test_a_command_refuses_by_the_first_need_that_is_not_met() -> None:
         require("ctrl_rl_bringup demo", load_task("tool_delivery"))
     with pytest.raises(TaskError, match="task 'quad_ttr' is steered by T_1 and T_2: v and omega are needed here"):
         require("koopman_lqr_controller edmd", load_task("quad_ttr"))
+    for name, part in (("walkers", "movers"), ("car_ttr_randomised", "randomisation")):
+        assert can("ttr_reward_node train", load_task(name)) == ""
+        with pytest.raises(TaskError, match=f"has {part}, which no fleet simulates: learn it with `ros2"):
+            require("ctrl_rl_trials train", load_task(name))
 
 
 def test_an_arena_without_a_grid_gets_one_of_10_cm_and_5_degrees() -> None:

@@ -53,6 +53,14 @@ def _has_corridor(task: NavigationTask) -> str:
     return f"has a corridor: learn it with {commands}" if task.corridor else ""
 
 
+def _no_fleet(task: NavigationTask) -> str:
+    parts = [name for name in ("movers", "randomisation") if getattr(task, name)]
+    robot = task.robot.robot
+    parts += ["steered wheels"] if robot is not None and robot.steering is not None else []
+    # The other train simulates one robot at a time where it must.
+    return f"has {parts[0]}, which no fleet simulates: learn it with `ros2 run ttr_reward_node train`" if parts else ""
+
+
 def _other_walls(task: NavigationTask) -> str:
     if task.doorways is None:
         return ""
@@ -97,6 +105,7 @@ def _no_team(task: TaskHeader) -> str:
 NAVIGATION = _of_navigation(lambda _: "")
 CORRIDOR = _of_navigation(_no_corridor)
 OPEN = _of_navigation(_has_corridor)
+FLEET = _of_navigation(_no_fleet)
 LASTING_WALLS = _of_navigation(_other_walls)
 GRID = _of_navigation(_no_grid, "grid")
 WHEELS = _of_navigation(_no_wheels)
@@ -122,8 +131,8 @@ COMMANDS: Mapping[str, tuple[Need, ...]] = {
     "ctrl_rl_learning learn_offline --method value_model": (POSE,),
     "ctrl_rl_learning learn_offline --method value_critic": (NAVIGATION,),
     "ctrl_rl_learning evaluate_offline": (NAVIGATION,),
-    "ctrl_rl_trials train": (OPEN, GRID),
-    "ctrl_rl_trials hardness": (OPEN,),
+    "ctrl_rl_trials train": (OPEN, FLEET, GRID),
+    "ctrl_rl_trials hardness": (OPEN, FLEET),
     "ctrl_rl_trials loop": (WHEELS, GRID),
     "ctrl_rl_trials correlation": (WHEELS, GRID),
     "koopman_lqr_controller edmd": (WHEELS,),

@@ -149,8 +149,10 @@ class FleetEnvironments(VecEnv):
 
 
 def fits_fleet(task: NavigationTask) -> bool:
-    """Return whether a fleet can simulate a task, i.e. one without corridor, moving obstacles or randomisation."""
-    return not (task.corridor or task.movers or task.randomisation)
+    """Return whether a fleet can simulate a task: no corridor, moving obstacles, randomisation or steered wheels."""
+    robot = task.robot.robot
+    steered = robot is not None and robot.steering is not None
+    return not (task.corridor or task.movers or task.randomisation or steered)
 
 
 class _ScaledFleet:
