@@ -164,6 +164,10 @@ def test_a_task_is_followed_by_what_its_robot_reports(robots, queue):
     assert [change.state for change in queue.history("t")].count(TaskState.DONE) == 1
 
 
+def test_an_idle_robot_that_may_not_wait_goes_home_where_it_is(robots):
+    assert robots.decide([0, 1, 1, 0, 0, 1]) == HOME  # its last wait overran
+
+
 def test_an_idle_robot_leaves_a_station_for_its_home(robots):
     robots.seen[0, :2] = (-1.65, 1.0)
     assert robots.decide() == HOME

@@ -183,10 +183,14 @@ class Dispatcher:
         return stations[0] if stations else self._wait(legal)
 
     def _idle(self, robot: str, place: Place, legal: set[str]) -> str:
-        """Return what a robot without a task does: it goes home, out of the others' way, and waits there."""
+        """Return what a robot without a task does: it goes home, out of the others' way, and waits there.
+
+        A robot that has just waited for too long may not wait again at once: it goes home where it is.
+        """
         home = [name for name in self._travel.stations(Work.REST) if name in legal]
+        wait = self._wait(legal)
         away = math.dist(place, self._team.robots[robot].home) > _AT_HOME
-        return home[0] if home and away else self._wait(legal)
+        return home[0] if home and (away or wait not in legal) else wait
 
     def _wait(self, legal: set[str]) -> str:
         waits = [name for name in self._travel.stations(Work.WAIT) if name in legal]
