@@ -169,6 +169,7 @@ export PYTHONPATH=$PWD/packages:$PYTHONPATH
             "# robot; if twist_mux": ROBOT,
         },
     ),
+    "docs/howto/work.md": Page(20.0, files={"order.py": 0}, skipped={"ros2 service": ROS, "ros2 topic": ROS}),
     "docs/tutorials/first_drive.md": Page(120.0),
     "docs/tutorials/own_corridor.md": Page(120.0),
     "docs/tutorials/own_system.md": Page(25.0),

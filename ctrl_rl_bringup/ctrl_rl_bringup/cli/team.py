@@ -128,4 +128,4 @@ def _report(config: TeamConfig) -> int:
     print(f"bag                 {config.drive.bag}")
     print(f"picture             {picture}")
     print(f"report              {file}")
-    return 0 if run.finished else 1
+    return 0 if run.finished or not team.deliveries else 1

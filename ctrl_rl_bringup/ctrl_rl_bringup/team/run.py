@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,7 +99,7 @@ def coordinator(options: TeamConfig) -> NodeSpec:
         "lost_after": 4.0 * _LEASE,
         "stale": min(4.0 * _LEASE * max(1.0, options.speed), _LONGEST_STALE),
         "repeat": _HEARTBEAT,
-        "memory": str((options.folder / "work.sqlite").absolute()),
+        "memory" if load_team(options.team).deliveries else "work": str((options.folder / "work.sqlite").absolute()),
     }
     return NodeSpec("option_coordinator", "coordinator", parameters)
 
@@ -166,7 +167,7 @@ class TeamMonitor(Monitor):
         """
         self._heard = time.monotonic()
         display = ProgressDisplay("working", 10)
-        wanted = len(self._team.robots) * (2 * self._team.deliveries + 1)
+        wanted = len(self._team.robots) * (2 * self._team.deliveries + 1) if self._team.deliveries else math.inf
         try:
             while not self._over:
                 self._spin()
