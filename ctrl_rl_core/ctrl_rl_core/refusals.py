@@ -19,7 +19,7 @@ def reason_of(event: ParseErrorEvent) -> str:
         case MissingArgs(missing_arguments=missing, unrecognized_tokens=[]):
             return f"missing {', '.join(each.arg.display_name() for each in missing)}"
         case MissingArgs(unrecognized_tokens=tokens) | UnrecognizedArgs(tokens=tokens):
-            return f"unknown option {tokens[0]}"
+            return f"unknown {'option' if tokens[0].startswith('-') else 'argument'} {tokens[0]}"
         case InvalidChoice(argument=argument, value=value, choices=choices):
             return f"{argument.display_name()} {value}: choose from {', '.join(choices)}"
         case MissingSubcommand(subcommand_spec=spec, found_token=found):

@@ -97,7 +97,7 @@ def test_the_mismatch_command_writes_the_table(tmp_path, capsys):
         (["mpc", "--episodes", "0"], "--episodes must be a whole number of at least 1, not 0"),
         (["gradient", "--samples", "0"], "--samples must be a whole number of at least 1, not 0"),
         (["mismatch", "--seed", "-1"], "--seed must be a whole number of at least 0, not -1"),
-        (["gradients"], "unknown option gradients"),
+        (["gradients"], "unknown argument gradients"),
         ([], "give one of: mismatch, mpc, speed, gradient"),
     ],
 )
