@@ -9,11 +9,9 @@ import numpy as np
 import trimesh
 import viser
 
+from ctrl_rl_bringup.view.colours import BODY, DANGER, EDGE, GOAL, RAW, SCAN, SENT, WALL, Colour
 from ctrl_rl_bringup.view.scene import Array, Pose, Scene
 from ctrl_rl_bringup.view.shapes import (
-    DANGER,
-    WALL,
-    Colour,
     centre_of,
     floor_of,
     funnel_of,
@@ -24,14 +22,6 @@ from ctrl_rl_bringup.view.shapes import (
 )
 from ctrl_rl_core import Robot
 
-BODY, EDGE, SENT, RAW, GOAL, SCAN = (
-    (245, 245, 245),
-    (20, 20, 20),
-    (0, 114, 178),
-    (140, 140, 140),
-    (0, 158, 115),
-    (86, 180, 233),
-)
 _TALL, _FLAT = 0.3, 0.12
 """Height of walls, and of a robot without a lidar [m]."""
 _DEPTH, _DEEPEST = 0.1, 1.5

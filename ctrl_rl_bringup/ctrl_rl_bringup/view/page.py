@@ -20,6 +20,7 @@ from typing import Any
 import viser
 
 from ctrl_rl_bringup.view.access import Access
+from ctrl_rl_bringup.view.colours import DANGER, RAW, WARNING
 from ctrl_rl_bringup.view.drawing import Drawing
 from ctrl_rl_bringup.view.scene import Note, Scene
 from ctrl_rl_core import CtrlRlError, Robot
@@ -28,7 +29,7 @@ _TEXT_S = 0.3
 """Shortest time between two texts [s]: a phone has to lay each out."""
 _MOST_REQUESTS = 32
 _FARTHEST, _LAST = 1e6, 1e9
-_COLOURS = ("inherit", "#E69F00", "#D55E00", "#8C8C8C")
+_COLOURS = ("inherit", *(f"rgb{each}" for each in (WARNING, DANGER, RAW)))
 """Colours of texts by level."""
 
 
@@ -186,7 +187,7 @@ class Page:
     def _unlock(self, client: viser.ClientHandle) -> None:
         """Give a visitor with the token the buttons that move the robot."""
         gui = client.gui
-        stop = gui.add_button("Stop", color="red")
+        stop = gui.add_button("Stop", color=DANGER)
         stop.on_click(lambda _event: self._requests.append(StopRobot()))
         with gui.add_folder("Goal"):
             clicks = gui.add_checkbox("click on the floor", True)

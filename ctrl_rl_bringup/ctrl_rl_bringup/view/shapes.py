@@ -9,6 +9,7 @@ import numpy as np
 from ctrl_rl_core.navigation import FREE, OCCUPIED
 from numpy.typing import NDArray
 
+from ctrl_rl_bringup.view.colours import DANGER, UNKNOWN, VALUES, WALL
 from ctrl_rl_bringup.view.scene import Array, Grid, Pose, Surface
 from ctrl_rl_core import Box, OccupancyMap
 
@@ -16,18 +17,13 @@ Mesh = tuple[Array, NDArray[np.int64]]
 """Vertices (n, 3) [m] and faces (m, 3)."""
 Picture = NDArray[np.uint8]
 """Red, green, blue, opacity (rows, columns, 4); row 0 lies at the origin."""
-Colour = tuple[int, int, int]
-
-WALL, UNKNOWN, DANGER = (77, 77, 77), (224, 224, 224), (213, 94, 0)
 _MOST_PIXELS = 2048
 """Number of rows and of columns of a picture."""
 _MOST_BOXES, _MOST_CELLS = 5000, 4_000_000
 """Limits of maps whose walls are raised; the walls of others stay flat."""
 _MOST_STEPS = 150
 """Number of rows and of columns of a surface."""
-_WORST, _BEST = ((0, 34, 78), (18, 53, 112), (59, 73, 108), (87, 93, 109)), ((225, 204, 85), (254, 232, 56))
-_VALUES = np.array((*_WORST, (112, 113, 115), (138, 134, 120), (165, 156, 116), (195, 179, 105), *_BEST), np.float64)
-"""Colours of values, the worst first, as in the figures."""
+_SCALE = np.array(VALUES, np.float64)
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], np.float64)
 _SIDES = np.array(
     ((4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (1, 3, 7), (1, 7, 5), (3, 2, 6), (3, 6, 7), (2, 0, 4), (2, 4, 6)),
@@ -116,10 +112,10 @@ def funnel_of(surface: Surface, depth: float) -> tuple[Mesh, Picture] | None:
 
 def _colours(goodness: Array) -> Picture:
     """Return the colours (n, 4) of values from 0, the worst, to 1 (n,)."""
-    place = np.clip(goodness, 0.0, 1.0) * (len(_VALUES) - 1)
+    place = np.clip(goodness, 0.0, 1.0) * (len(_SCALE) - 1)
     out = np.full((len(place), 4), 255, np.uint8)
     for channel in range(3):
-        out[:, channel] = np.interp(place, np.arange(len(_VALUES)), _VALUES[:, channel])
+        out[:, channel] = np.interp(place, np.arange(len(_SCALE)), _SCALE[:, channel])
     return out
 
 
