@@ -24,6 +24,8 @@ Each command that is given a task, and each kind of task.
 
 A [task](../tasks.md) on a map has `map:` in place of `arena:` or `corridor:`. In an arena or on a map with the states
 x, y and theta no `grid` is needed: where there is none, nodes lie 0.1 m and 5 degrees apart.
+`ctrl_rl_trials train` and `hardness` simulate many robots at once, so they refuse `movers`, `randomisation` and robots
+with steered wheels, which `ttr_reward_node train` takes.
 """
 _SUITE = {
     "arena, wheels": "car_navigation",
