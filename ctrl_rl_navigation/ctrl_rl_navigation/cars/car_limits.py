@@ -30,6 +30,7 @@ class CarLimits:
         margin: Additional distance to obstacles [m].
         lag: Time constant with which the speed follows its command [s].
         steering_lag: Time constant with which the steering angle follows its command [s].
+        hardest_braking: Deceleration where planned braking no longer averts a contact [m/s^2]; 0 for `braking`.
 
     Raises:
         NavigationError: A number is not finite or not positive.
@@ -48,11 +49,12 @@ class CarLimits:
     margin: float = MARGIN
     lag: float = 0.0
     steering_lag: float = 0.0
+    hardest_braking: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            least = field.name in ("centre", "margin", "lag", "steering_lag")
+            least = field.name in ("centre", "margin", "lag", "steering_lag", "hardest_braking")
             if not (0.0 < value < math.inf or (least and value == 0.0)):
                 raise NavigationError(f"{field.name} {value}: must be a positive number")
 
@@ -105,4 +107,5 @@ def car_limits_of(robot: Robot, margin: float = MARGIN) -> CarLimits:
         margin,
         robot.lag,
         steering.lag,
+        max(robot.braking, plan.braking),
     )

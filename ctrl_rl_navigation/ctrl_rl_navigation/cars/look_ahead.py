@@ -171,7 +171,7 @@ class CarLookAhead:
                     self._plan = candidates[slow][best]
                     return self._command(self._plan, motion[0]), cost
         self._plan = None
-        return self.slowed(motion[0]), math.inf
+        return self.slowed(motion[0], max(self._limits.braking, self._limits.hardest_braking)), math.inf
 
     def _rest(self) -> Array | None:
         """Return what is left of the last plan (7,) after a period; None if that is too little to go on with."""
@@ -191,9 +191,14 @@ class CarLookAhead:
         speed = float(np.clip(wanted, v - most, v + most))
         return np.array((speed, speed * candidate[CURVATURE if first else CURVATURE_AFTER]))
 
-    def slowed(self, v: float) -> Array:
-        """Return the command (2,) that brakes from a speed [m/s], with the steering as it is."""
-        most = self._limits.braking * self._period
+    def slowed(self, v: float, braking: float = 0.0) -> Array:
+        """Return the command (2,) that brakes from a speed [m/s], with the steering as it is.
+
+        Args:
+            v: Speed of the last command [m/s].
+            braking: Deceleration [m/s^2]; 0 for the planned one.
+        """
+        most = (braking or self._limits.braking) * self._period
         speed = v - float(np.clip(v, -most, most))
         return np.array((speed, speed * math.tan(self.steering) / self._limits.wheelbase))
 
