@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from option_coordinator.nodes.messages import EXCHANGE
 from option_coordinator.nodes.work_board import LAST_CHANGES
 from option_coordinator.protocol.protocol_types import GrantStatus
 from option_coordinator.teams.team_file import FOLDER
@@ -120,6 +121,23 @@ def test_no_task_is_lost_or_done_twice_though_the_coordinator_is_killed_five_tim
     numbers = {change.number for change in work.changes}
     rig.until(lambda: numbers.update(change.number for change in work.changes) or len(numbers) == max(numbers), "all")
     assert rig.counted("parcels without a task") == 0
+
+
+def test_tasks_come_by_topic_too(work):
+    work.start()
+    publisher = work.rig.node.create_publisher(WorkTask, "work_tasks", EXCHANGE)
+
+    def told(task, state):
+        publisher.publish(task)
+        return [state, task.id] in [[change.state, change.task.id] for change in work.changes]
+
+    work.rig.until(lambda: told(WorkTask(id="a", **TASK), WorkState.WAITING), "it is accepted")
+    work.rig.until(lambda: told(WorkTask(id="b", origin="cellar"), WorkState.REFUSED), "it is refused")
+    assert [change.state for change in work.changes if change.task.id == "a"] == [
+        WorkState.SUBMITTED,
+        WorkState.WAITING,
+    ]
+    assert "no station 'cellar'" in work.changes[-1].reason
 
 
 def test_an_idle_robot_is_called_when_work_arrives(work):

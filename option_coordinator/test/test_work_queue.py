@@ -128,6 +128,10 @@ def test_a_low_priority_waits_longer_but_not_for_ever(queue):
     queue.adjust(replace(TASK, id="old", priority=9), 200.0)
     assert [change.task.id for change in queue.waiting()] == ["old", "urgent", "later"]
     assert [change.task.id for change in queue.unfinished()] == ["old", "urgent", "later"]
+    queue.submit(replace(TASK, id="due", latest=100.0, skill="cool"), "", 99.0)
+    assert [change.task.id for change in queue.waiting(["", "cool"], 2)] == ["old", "due"]
+    assert [change.task.id for change in queue.due(101.0)] == ["due"]
+    assert queue.due(100.0) == []
 
 
 def test_a_file_that_is_none_is_refused_in_one_line(tmp_path):

@@ -1,4 +1,4 @@
-"""The coordinator's services for work that arrives, and the topic of its states."""
+"""The coordinator's services and topic for work that arrives, and the topic of its states."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ctrl_rl_core import ParameterError, SuiteNode
 from ctrl_rl_msgs.msg import WorkState, WorkTask
 from ctrl_rl_msgs.srv import ChangeWork, QueryWork, SubmitWork
 from option_coordinator.errors import OptionError
+from option_coordinator.nodes.messages import EXCHANGE
 from option_coordinator.nodes.option_agent import STEADY
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.ledger import State
@@ -30,12 +31,13 @@ LAST_CHANGES = QoSProfile(
     depth=MOST_ROWS, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """QoS of work_states: who listens late gets the last changes."""
+_SAID_EVERY_S = 10.0
 _TELLS_S, _SUPERVISES_S = 0.1, 1.0
 """Periods of publishing what became of tasks, and of supervising them [s]."""
 
 
 class WorkBoard:
-    """Takes tasks by the node's services, and publishes what becomes of them.
+    """Takes tasks by the node's services and a topic, and publishes what becomes of them.
 
     Args:
         node: Node of the coordinator.
@@ -61,6 +63,7 @@ class WorkBoard:
         self._published = max(0, self._queue.newest() - MOST_ROWS)
         self._logged = self._queue.newest()
         self._states = node.create_publisher(WorkState, "work_states", LAST_CHANGES)
+        node.create_subscription(WorkTask, "work_tasks", self._on_task, EXCHANGE)
         node.create_service(SubmitWork, "~/submit_work", self._on_submit)
         node.create_service(ChangeWork, "~/change_work", self._on_change)
         node.create_service(QueryWork, "~/query_work", self._on_query)
@@ -115,6 +118,15 @@ class WorkBoard:
             return self._queue.submit(task, self._admission.refusal(task, now), now)
 
         return self._answer(response, submit)
+
+    def _on_task(self, task: WorkTask) -> None:
+        """Take a task from the topic, if this coordinator decides; what becomes of it is on work_states."""
+        if self._coordinator is None or not self._coordinator.epoch:
+            return
+        answer = self._on_submit(SubmitWork.Request(task=task), SubmitWork.Response())
+        if not answer.success:
+            words = f"a task on 'work_tasks' is refused: {answer.message}"
+            self._node.get_logger().warning(words, throttle_duration_sec=_SAID_EVERY_S)
 
     def _on_change(self, request: ChangeWork.Request, response: ChangeWork.Response) -> ChangeWork.Response:
         def change(now: float) -> Change:

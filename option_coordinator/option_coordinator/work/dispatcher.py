@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from option_coordinator.work.travel import Place, TravelTimes
 from option_coordinator.work.work_queue import WorkQueue
 
 _AT_HOME = 2.0 * ReactivePlanner.arrived
+_SOME = 50
+"""Number of tasks to consider besides one for each free robot: robots wait for the decision."""
 _MOST_BARRED = 2
 """Decisions in a row in which a robot may not go to a task's destination, after which the task has failed: an option
 that overran is withheld once only, one that overran too often for ever."""
@@ -69,8 +71,7 @@ class Dispatcher:
                         free[name] = self._free(name, place, legal), index
             heading = Counter(self._options[option] for option in options if option >= 0)
             robots = [robot for robot, _ in free.values()]
-            waiting = self._queue.waiting() if robots else []
-            for change, robot in assign(waiting, robots, self._travel, now, heading):
+            for change, robot in assign(self._waiting(robots), robots, self._travel, now, heading):
                 index = free[robot.name][1]
                 delivered = int(seen[index, 3])
                 self._queue.move(change.task.id, TaskState.ASSIGNED, now, robot.name, base=delivered)
@@ -94,7 +95,7 @@ class Dispatcher:
                     self._queue.move(change.task.id, TaskState.WAITING, now, reason=gone[change.robot])
                 elif change.robot in given_up:
                     self._queue.move(change.task.id, TaskState.FAILED, now, reason=given_up[change.robot])
-            for change in self._queue.waiting():
+            for change in self._queue.due(now + self._travel.longest):
                 if now + self._travel.of_task(change.task) > change.task.latest:
                     reason = "its latest time can no longer be met: no robot was free early enough"
                     self._queue.move(change.task.id, TaskState.FAILED, now, reason=reason)
@@ -113,7 +114,7 @@ class Dispatcher:
             for name in idle
             if self._queue.held_by(name) is None
         ]
-        waiting = self._queue.waiting() if robots else []
+        waiting = self._waiting(robots)
         pairs = {(r.name, change.task.id) for change, r in assign(waiting, robots, self._travel, self._now())}
         new, tasks = pairs - self._recalled, {change.task.id for change in waiting}
         self._recalled = {pair for pair in self._recalled | new if pair[1] in tasks}
@@ -191,6 +192,11 @@ class Dispatcher:
         wait = self._wait(legal)
         away = math.dist(place, self._team.robots[robot].home) > _AT_HOME
         return home[0] if home and (away or wait not in legal) else wait
+
+    def _waiting(self, robots: Sequence[FreeRobot]) -> list[Change]:
+        """Return the waiting tasks that are worth considering for some robots."""
+        skills = {""}.union(*(robot.skills for robot in robots))
+        return self._queue.waiting(skills, _SOME + len(robots)) if robots else []
 
     def _wait(self, legal: set[str]) -> str:
         waits = [name for name in self._travel.stations(Work.WAIT) if name in legal]

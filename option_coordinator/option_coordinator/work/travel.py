@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
+from itertools import product
 
 from option_coordinator.errors import OptionError
 from option_coordinator.navigation.planner import ReactivePlanner
@@ -42,6 +44,12 @@ class TravelTimes:
         """Return the time of a task from the arrival at its origin on."""
         origin, destination = self._team.options[task.origin], self._team.options[task.destination]
         return origin.lasts + self.between(self._place(origin), self._place(destination)) + destination.lasts
+
+    @cached_property
+    def longest(self) -> float:
+        """The longest time of any task from the arrival at its origin on."""
+        pairs = product(self.stations(Work.FETCH), self.stations(Work.DELIVER))
+        return max(self.of_task(Task("any", origin, destination)) for origin, destination in pairs)
 
     @staticmethod
     def _place(option: NavigationOption) -> Place:

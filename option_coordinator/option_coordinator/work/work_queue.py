@@ -8,7 +8,7 @@ to the process or the power.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import astuple, fields, replace
 from pathlib import Path
@@ -23,6 +23,8 @@ MOST_OPEN = 10_000
 """Maximum number of unfinished tasks."""
 MOST_ROWS = 1000
 """Maximum number of changes that a method returns."""
+_NEAR_S = 600.0
+"""Time before the latest time of a task at which it would have been submitted at the latest, for its urgency [s]."""
 _TASK = ", ".join(field.name for field in fields(Task))
 _COLUMNS = f"number, at, state, robot, reason, base, submitted, {_TASK}"
 _TABLE = """
@@ -37,6 +39,7 @@ CREATE UNIQUE INDEX IF NOT EXISTS present ON changes (team, id) WHERE last;
 CREATE INDEX IF NOT EXISTS by_state ON changes (team, state) WHERE last;
 CREATE INDEX IF NOT EXISTS by_robot ON changes (team, robot, number);
 """
+_HELD = f"state IN ({int(TaskState.ASSIGNED)}, {int(TaskState.ON_BOARD)})"
 _OPEN = f"state IN ({', '.join(str(int(state)) for state in OPEN)})"
 
 
@@ -178,19 +181,33 @@ class WorkQueue:
         """Return the last changes of unfinished tasks, in order of submission."""
         return self._rows(f"last AND {_OPEN} ORDER BY submitted, id")
 
-    def waiting(self) -> list[Change]:
-        """Return waiting tasks, in order of submission but for their priority, so that none waits for ever."""
-        order = f"submitted - {PRIORITY_S} * priority, submitted, id"
-        return self._rows(f"last AND state = ? ORDER BY {order}", int(TaskState.WAITING))
+    def waiting(self, skills: Iterable[str] = ("",), limit: int = MOST_ROWS) -> list[Change]:
+        """Return the most urgent waiting tasks.
+
+        Their order is that of submission, a minute earlier for each step of priority; a task whose latest time is near
+        counts as submitted ten minutes before it. So none waits for ever.
+
+        Args:
+            skills: Skills of which a task may need one; empty for no skill.
+            limit: Maximum number of tasks.
+        """
+        known = sorted(set(skills))
+        marks = ", ".join("?" * len(known))
+        order = f"MIN(submitted - {PRIORITY_S} * priority, latest - {_NEAR_S}), submitted, id"
+        where = f"last AND state = ? AND skill IN ({marks}) ORDER BY {order}"
+        return self._rows(where, int(TaskState.WAITING), *known, limit=limit)
+
+    def due(self, before: float) -> list[Change]:
+        """Return waiting tasks whose latest time is before a time [s]."""
+        return self._rows("last AND state = ? AND latest < ? ORDER BY latest", int(TaskState.WAITING), before)
 
     def held(self) -> list[Change]:
         """Return the tasks that robots have, assigned or on board."""
-        states = int(TaskState.ASSIGNED), int(TaskState.ON_BOARD)
-        return self._rows("last AND state IN (?, ?) ORDER BY submitted, id", *states)
+        return self._rows(f"last AND {_HELD} ORDER BY submitted, id")
 
     def held_by(self, robot: str) -> Change | None:
         """Return the task that a robot has; None if it has none."""
-        return next((change for change in self.held() if change.robot == robot), None)
+        return next(iter(self._rows(f"last AND {_HELD} AND robot = ?", robot)), None)
 
     def last_of(self, robot: str) -> Change | None:
         """Return the last change of the task that a robot had last; None if it never had one."""
@@ -212,7 +229,7 @@ class WorkQueue:
         """Return the changes after a number, in order; the last ones if there are more than `MOST_ROWS`."""
         return self._rows("number > ? ORDER BY number DESC", number)[::-1]
 
-    def _rows(self, where: str, *values: str | int, limit: int = MOST_ROWS) -> list[Change]:
+    def _rows(self, where: str, *values: str | float, limit: int = MOST_ROWS) -> list[Change]:
         query = f"SELECT {_COLUMNS} FROM changes WHERE team = ? AND {where} LIMIT ?"
         with self._told():
             return [_change(row) for row in self._base.execute(query, (self._team, *values, limit))]
