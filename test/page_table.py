@@ -83,10 +83,6 @@ PAGES = {
         0.0,
         skipped={"python -m pip": NETWORK, "ray ": MACHINES, "ros2 run option_coordinator train": MACHINES},
     ),
-    "docs/howto/view.md": Page(
-        0.0,
-        skipped={"python -m pip": NETWORK, "ros2 run ctrl_rl_bringup view": NETWORK, "ssh ": MACHINES},
-    ),
     "docs/howto/nav2.md": Page(40.0, files={"application.py": 0}, skipped={"# on a robot with Nav2": ROBOT}),
     "docs/howto/navigate.md": Page(
         12.0,
@@ -151,6 +147,10 @@ export PYTHONPATH=$PWD/packages:$PYTHONPATH
         },
     ),
     "docs/howto/shell.md": Page(1.0),
+    "docs/howto/view.md": Page(
+        0.0,
+        skipped={"python -m pip": NETWORK, "ros2 run ctrl_rl_bringup view": NETWORK, "ssh ": MACHINES},
+    ),
     "docs/index.md": Page(60.0, skipped={"make test ": ITSELF}),
     "docs/installation.md": Page(0.0, skipped={"pip install": NETWORK, "sudo ": ROOT}),
     "docs/security.md": Page(

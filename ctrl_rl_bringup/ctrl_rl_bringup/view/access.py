@@ -6,6 +6,7 @@ import hmac
 import secrets
 import time
 from collections import deque
+from threading import Lock
 
 from ctrl_rl_core import CtrlRlError
 
@@ -40,6 +41,7 @@ class Access:
             raise TokenError(f"a token of {len(token)} letters: must have {FEWEST_LETTERS} or more")
         self.token = token or secrets.token_urlsafe(16)
         self._wrong: deque[float] = deque(maxlen=MOST_WRONG)
+        self._lock = Lock()
 
     def check(self, given: str, now: float | None = None) -> str:
         """Compare a token and return the reason of a refusal, or an empty text.
@@ -49,10 +51,11 @@ class Access:
             now: Steady time [s]; now by default.
         """
         now = time.monotonic() if now is None else now
-        left = self._wrong[0] + SPAN_S - now if len(self._wrong) == MOST_WRONG else 0.0
-        if left > 0.0:
-            return f"too many wrong tokens: wait {left:.0f} s"
-        if hmac.compare_digest(given.strip().encode("utf-8", "replace"), self.token.encode()):
-            return ""
-        self._wrong.append(now)
-        return "this is not the token"
+        with self._lock:  # visitors guess side by side
+            left = self._wrong[0] + SPAN_S - now if len(self._wrong) == MOST_WRONG else 0.0
+            if left > 0.0:
+                return f"too many wrong tokens: wait {left:.0f} s"
+            if hmac.compare_digest(given.strip().encode("utf-8", "replace"), self.token.encode()):
+                return ""
+            self._wrong.append(now)
+            return "this is not the token"
