@@ -170,6 +170,14 @@ def test_a_model_is_believed_as_far_as_two_replays_agree(
     assert believed(replace(found.support, agreement=agreement, attainable=attainable)) == is_believed
 
 
+def test_a_way_that_few_drove_asks_for_drives_of_the_policy() -> None:
+    _, transitions = recorded("car_navigation")
+    found = judged("car_navigation", transitions, clone_of("car_navigation"))
+    assert found.support is not None
+    few = replace(found, support=replace(found.support, effective=4.0, outside=0.0, outside_at=None))
+    assert "10 episodes of the policy itself, under the watchdog" in [each.record for each in few.objections]
+
+
 def test_motion_beyond_the_bags_goes_on_or_stays() -> None:
     task, transitions = recorded("car_navigation")
     dynamics = replace(fit_dynamics(transitions, rest_of(task)), errors=np.zeros((1, 3)))

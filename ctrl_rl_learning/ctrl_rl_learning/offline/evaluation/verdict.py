@@ -32,6 +32,7 @@ _LOSS = 0.1
 """Success that the intervals may leave open: ten in a hundred fewer."""
 _MOST_ASKED = 500
 _CONFIDENCE = 1.96
+_OF_THE_POLICY = "10 episodes of the policy itself, under the watchdog"
 
 
 class Objection(NamedTuple):
@@ -210,11 +211,11 @@ def _of_model(report: OfflineReport) -> Iterator[Objection]:
     assert support is not None
     if support.effective < _LEAST_EFFECTIVE or support.outside > _MOST_OUTSIDE:
         place = support.outside_at
-        where = "" if place is None else f" around x {place[0]:.1f} m, y {place[1]:.1f} m"
+        drives = _OF_THE_POLICY if place is None else f"10 episodes around x {place[0]:.1f} m, y {place[1]:.1f} m"
         yield Objection(
             f"the roll-outs rest on {support.effective:.1f} of {report.episodes} episodes, and {support.outside:.0%} "
             "of their steps lie where nobody drove",
-            f"10 episodes{where}",
+            drives,
         )
     if support.pieces < _LEAST_PIECES or support.missed > _MOST_MISSED:
         yield Objection(
@@ -228,18 +229,18 @@ def _of_fitted_q(report: OfflineReport) -> Iterator[Objection]:
     """Yield what forbids to go by fitted Q evaluation alone."""
     if report.support is not None:
         yield from _against_model(report.support)
-    drives = "10 episodes of the policy itself, under the watchdog"
     if report.effective_episodes < _LEAST_EFFECTIVE:
         yield Objection(
-            f"fitted Q evaluation rests on {report.effective_episodes:.1f} of {report.episodes} episodes", drives
+            f"fitted Q evaluation rests on {report.effective_episodes:.1f} of {report.episodes} episodes",
+            _OF_THE_POLICY,
         )
     if report.coverage < _LEAST_COVERAGE:
         yield Objection(
             f"the driver would have given {report.coverage:.0%} of the policy's commands",
-            f"10 episodes with {report.commands}" if report.commands else drives,
+            f"10 episodes with {report.commands}" if report.commands else _OF_THE_POLICY,
         )
     if report.driver_success == 1.0:
-        yield Objection("the bags hold successes alone: fitted Q evaluation cannot know what fails", drives)
+        yield Objection("the bags hold successes alone: fitted Q evaluation cannot know what fails", _OF_THE_POLICY)
     if report.held_out == 0:
         yield Objection("the policy was fitted to each of these episodes", "10 episodes that it is not fitted to")
     if not report.robust_gain.low > 0.0:
