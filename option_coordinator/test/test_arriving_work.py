@@ -152,6 +152,16 @@ def test_an_idle_robot_is_called_when_work_arrives(work):
     assert {grant.reason for grant in work.rig.given("robot_1", GrantStatus.CANCELLED)} == {"there is work"}
 
 
+def test_a_robot_whose_task_is_cancelled_does_not_go_on_to_fetch_it(work):
+    work.start()
+    work.robots("robot_1", way=600.0)
+    work.submit("a")
+    work.rig.until(lambda: work.rig.given("robot_1") and work.history("a")[-1] == WorkState.ASSIGNED, "it is assigned")
+    assert work.call("change_work", ChangeWork.Request(id="a", cancel=True)).success
+    stopped = work.rig.until(lambda: work.rig.given("robot_1", GrantStatus.CANCELLED), "it stops")
+    assert "its task was taken back" in {grant.reason for grant in stopped}
+
+
 def test_a_robot_that_dies_leaves_its_task_to_another(work):
     work.start()
     work.robots("robot_1", way=600.0)

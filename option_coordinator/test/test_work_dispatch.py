@@ -225,6 +225,27 @@ def test_a_lost_robot_leaves_its_task_to_others_unless_it_has_the_parcel(robots,
     assert (queue.known("t").state, queue.known("t").reason) == (TaskState.FAILED, "it is given up")
 
 
+def test_a_parcel_on_board_of_a_robot_that_was_lost_is_not_left_to_another_one(robots, queue):
+    queue.submit(TASK, "", 0.0)
+    robots.decide()
+    robots.dispatcher.supervise({}, ["robot_1"])
+    assert robots.decide(of=1) == SHELF
+    assert robots.decide(LOADED, carries=1) == DESK
+    assert (queue.known("t").state, queue.known("t").robot) == (TaskState.ON_BOARD, "robot_1")
+    running = {"robot_1": "desk_1", "robot_2": "shelf_1", "robot_3": "home"}
+    assert robots.dispatcher.recalls(running) == {"robot_2": "its task was taken back"}
+
+
+def test_idle_robots_are_called_once_for_each_task(robots, queue):
+    running = {"robot_1": "home", "robot_3": "wait"}
+    assert robots.dispatcher.recalls(running) == {}
+    queue.submit(replace(TASK, skill="cool"), "", 0.0)
+    assert robots.dispatcher.recalls(running) == {"robot_3": "there is work"}
+    assert robots.dispatcher.recalls(running) == {}
+    queue.submit(replace(TASK, id="u"), "", 0.0)
+    assert robots.dispatcher.recalls(running) == {"robot_1": "there is work"}
+
+
 def test_a_parcel_without_a_task_is_put_down_where_its_task_would_have_gone(robots, queue):
     assert robots.decide(LOADED, carries=1) == DESK  # nobody knows what this is
     queue.submit(replace(TASK, destination="desk_2"), "", 0.0)

@@ -21,7 +21,7 @@ from option_coordinator.nodes.messages import EXCHANGE
 from option_coordinator.nodes.option_agent import STEADY
 from option_coordinator.protocol.coordination import Coordinator
 from option_coordinator.protocol.ledger import State
-from option_coordinator.teams.team_file import TeamFile, Work
+from option_coordinator.teams.team_file import TeamFile
 from option_coordinator.work.admission import Admission
 from option_coordinator.work.dispatcher import Dispatcher
 from option_coordinator.work.task import DELIVERY, Change, Task, TaskState
@@ -56,8 +56,7 @@ class WorkBoard:
     def __init__(self, node: SuiteNode, team: TeamFile, name: str, file: Path, now: Callable[[], float]) -> None:
         self._node, self._now = node, now
         self._coordinator: Coordinator | None = None
-        rests = (Work.WAIT, Work.REST)
-        self._rests = [index for index, option in enumerate(team.options.values()) if option.work in rests]
+        self._options = team.option_names
         self._queue, self._admission = WorkQueue(file, name), Admission(team)
         self.dispatcher = Dispatcher(team, self._queue, now)
         self._published = max(0, self._queue.newest() - MOST_ROWS)
@@ -92,16 +91,14 @@ class WorkBoard:
                 self._node.get_logger().info(", ".join(word for word in words if word))
 
     def _tend(self) -> None:
-        """Publish changes, and call idle robots for which there is work."""
+        """Publish changes, and call robots whose option serves no more."""
         self.tell()
         if self._coordinator is None or not self._coordinator.epoch:
             return
         robots = self._coordinator.ledger
-        idle = [
-            name for name, entry in robots.items() if entry.runs and not entry.cancelled and entry.option in self._rests
-        ]
-        for name in self.dispatcher.recalls(idle):
-            robots[name].cancel("there is work")
+        running = {name: self._options[e.option] for name, e in robots.items() if e.runs and not e.cancelled}
+        for name, reason in self.dispatcher.recalls(running).items():
+            robots[name].cancel(reason)
 
     def _supervise(self) -> None:
         """End or return the tasks of robots that cannot go on, and those that are too late."""
@@ -157,7 +154,8 @@ class WorkBoard:
             now = self._now()
             if now <= 0.0:
                 raise OptionError("the ROS clock has not started yet")
-            change = act(now)
+            with self._queue.transaction():
+                change = act(now)
         except OptionError as error:
             response.message = str(error)
             return response

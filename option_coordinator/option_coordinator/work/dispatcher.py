@@ -100,25 +100,27 @@ class Dispatcher:
                     reason = "its latest time can no longer be met: no robot was free early enough"
                     self._queue.move(change.task.id, TaskState.FAILED, now, reason=reason)
 
-    def recalls(self, idle: Iterable[str]) -> list[str]:
-        """Return which robots, on their way home or waiting there, should ask again because there is work for them.
+    def recalls(self, running: Mapping[str, str]) -> dict[str, str]:
+        """Return which robots should stop their option and ask again, and why.
 
-        Each robot is called once for each task only: what it may fetch now is not known before it asks.
+        These are robots on their way to fetch whose task was taken back, and robots on their way home, or waiting
+        there, for which there is work. The latter are called once for each task only: what they may fetch now is not
+        known before they ask.
 
         Args:
-            idle: Names of the robots without a task.
+            running: Names of running options, by robot.
         """
-        origins = frozenset(self._travel.stations(Work.FETCH))
-        robots = [
-            FreeRobot(name, self._team.robots[name].home, frozenset(self._team.robots[name].skills), origins)
-            for name in idle
-            if self._queue.held_by(name) is None
-        ]
+        held = {change.robot for change in self._queue.held()}
+        without = {name: self._team.options[option].work for name, option in running.items() if name not in held}
+        taken_back = {name: "its task was taken back" for name, work in without.items() if work is Work.FETCH}
+        idle = [name for name, work in without.items() if work in (Work.WAIT, Work.REST)]
+        origins = set(self._travel.stations(Work.FETCH))
+        robots = [self._free(name, self._team.robots[name].home, origins) for name in idle]
         waiting = self._waiting(robots)
         pairs = {(r.name, change.task.id) for change, r in assign(waiting, robots, self._travel, self._now())}
         new, tasks = pairs - self._recalled, {change.task.id for change in waiting}
         self._recalled = {pair for pair in self._recalled | new if pair[1] in tasks}
-        return sorted(name for name, _ in new)
+        return taken_back | {name: "there is work" for name, _ in sorted(new)}
 
     def _go_on(self, robot: str, carries: bool, delivered: int, legal: set[str], now: float) -> str | None:
         """Record what a robot has done; return the option to go on with, None if it is free."""
@@ -168,12 +170,14 @@ class Dispatcher:
         return self._clear(change.robot, legal)
 
     def _stray(self, robot: str, delivered: int, now: float) -> Change | None:
-        """Return the task of a parcel that a robot has on board without a task: its last one, if nobody else has it."""
-        last = self._queue.last_of(robot)
+        """Return the task of a parcel on board of a robot without a task: its last one, if no other fetched it."""
+        last, reason = self._queue.last_of(robot), f"{robot} has it on board"
+        if last is not None and last.state is TaskState.ASSIGNED:
+            last = self._queue.move(last.task.id, TaskState.WAITING, now, reason=reason)
         if last is None or last.state is not TaskState.WAITING:
             self.strays += 1
             return None
-        return self._queue.move(last.task.id, TaskState.ASSIGNED, now, robot, f"{robot} has it already", base=delivered)
+        return self._queue.move(last.task.id, TaskState.ASSIGNED, now, robot, reason, base=delivered)
 
     def _clear(self, robot: str, legal: set[str]) -> str:
         """Return where to bring a parcel without a task: where its last task goes, else anywhere."""

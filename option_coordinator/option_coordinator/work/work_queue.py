@@ -17,8 +17,8 @@ from typing import Any
 from option_coordinator.errors import OptionError
 from option_coordinator.work.task import OPEN, PRIORITY_S, TRANSITIONS, Change, Task, TaskState
 
-_BUSY_S = 1.0
-"""Maximum wait for another process that writes to the file [s]."""
+_BUSY_S = 0.2
+"""Maximum wait for another process that writes to the file [s]: robots wait for their grants meanwhile."""
 MOST_OPEN = 10_000
 """Maximum number of unfinished tasks."""
 MOST_ROWS = 1000
