@@ -143,6 +143,13 @@ class Robots:
         query = PolicyQuery(self.seen.ravel(), choosing, np.full(3, NONE), mask)
         return int(self.dispatcher(query)[0][of])
 
+    def lose(self, name, seconds):
+        """Tell the dispatcher that a robot, heard just now, is then lost for a time."""
+        for lost in ([], [name]):
+            self.dispatcher.supervise({}, lost)
+        self.now += seconds
+        self.dispatcher.supervise({}, [name])
+
 
 @pytest.fixture
 def robots(team, queue):
@@ -216,10 +223,12 @@ def test_a_robot_that_forgot_its_work(robots, queue):
 def test_a_lost_robot_leaves_its_task_to_others_unless_it_has_the_parcel(robots, queue):
     queue.submit(TASK, "", 0.0)
     robots.decide()
-    robots.dispatcher.supervise({}, ["robot_1"])
+    robots.lose("robot_1", 59.0)
+    assert queue.known("t").state is TaskState.ASSIGNED
+    robots.lose("robot_1", 61.0)
     assert queue.known("t").reason == "robot_1 is lost"
     assert robots.decide(LOADED, carries=1) == DESK  # it is back, with the parcel
-    robots.dispatcher.supervise({}, ["robot_1"])
+    robots.lose("robot_1", 900.0)
     assert queue.known("t").state is TaskState.ON_BOARD
     robots.dispatcher.supervise({"robot_1": "it is given up"}, [])
     assert (queue.known("t").state, queue.known("t").reason) == (TaskState.FAILED, "it is given up")
@@ -228,7 +237,7 @@ def test_a_lost_robot_leaves_its_task_to_others_unless_it_has_the_parcel(robots,
 def test_a_parcel_on_board_of_a_robot_that_was_lost_is_not_left_to_another_one(robots, queue):
     queue.submit(TASK, "", 0.0)
     robots.decide()
-    robots.dispatcher.supervise({}, ["robot_1"])
+    robots.lose("robot_1", 61.0)
     assert robots.decide(of=1) == SHELF
     assert robots.decide(LOADED, carries=1) == DESK
     assert (queue.known("t").state, queue.known("t").robot) == (TaskState.ON_BOARD, "robot_1")

@@ -49,6 +49,7 @@ class Dispatcher:
         self._index = {name: index for index, name in enumerate(self._options)}
         self._barred: Counter[str] = Counter()
         self._recalled: set[tuple[str, str]] = set()
+        self._lost_since: dict[str, float] = {}
         self.strays = 0
 
     def __call__(self, query: PolicyQuery) -> tuple[JointOptions, float]:
@@ -79,7 +80,10 @@ class Dispatcher:
         return options, 0.0
 
     def supervise(self, given_up: Mapping[str, str], lost: Iterable[str]) -> None:
-        """End or return what cannot go on. A parcel on board of a lost robot remains its own.
+        """End or return what cannot go on.
+
+        A lost robot may still be at it: its task goes to others only after the maximum duration of the option to fetch,
+        at which the robot itself would have stopped. A parcel on board remains its own.
 
         Args:
             given_up: Why robots get no more options, by name.
@@ -88,13 +92,17 @@ class Dispatcher:
         Raises:
             OptionError: The tasks cannot be written.
         """
-        gone, now = {name: f"{name} is lost" for name in lost} | dict(given_up), self._now()
+        now = self._now()
+        self._lost_since = {name: self._lost_since.get(name, now) for name in lost}
         with self._queue.transaction():
             for change in self._queue.held():
-                if change.robot in gone and change.state is TaskState.ASSIGNED:
-                    self._queue.move(change.task.id, TaskState.WAITING, now, reason=gone[change.robot])
-                elif change.robot in given_up:
-                    self._queue.move(change.task.id, TaskState.FAILED, now, reason=given_up[change.robot])
+                robot, fetches = change.robot, change.state is TaskState.ASSIGNED
+                silent, longest = now - self._lost_since.get(robot, now), self._team.options[change.task.origin].longest
+                if robot in given_up:
+                    state = TaskState.WAITING if fetches else TaskState.FAILED
+                    self._queue.move(change.task.id, state, now, reason=given_up[robot])
+                elif fetches and silent > longest:
+                    self._queue.move(change.task.id, TaskState.WAITING, now, reason=f"{robot} is lost")
             for change in self._queue.due(now + self._travel.longest):
                 if now + self._travel.of_task(change.task) > change.task.latest:
                     reason = "its latest time can no longer be met: no robot was free early enough"
