@@ -102,11 +102,10 @@ def test_no_task_is_lost_or_done_twice_though_the_coordinator_is_killed_five_tim
     tasks = {f"task {i}": {"origin": f"shelf_{1 + i % 2}", "priority": i % 3} for i in range(20)}
     unanswered = list(tasks)
     for _ in range(5):
-        before = len(work.changes)
-        for task_id in unanswered[: random.integers(3, 7)]:
+        for task_id in unanswered[:4]:
             if work.submit(task_id, **tasks[task_id]):
                 unanswered.remove(task_id)
-        rig.until(lambda before=before: len(work.changes) > before + random.integers(6, 25), "work is going on")
+        rig.let_pass(random.uniform(0.0, 1.5))
         rig.kill("coordinator")
         work.start()
     for task_id in tasks:  # whoever does not know whether it was heard says it again
