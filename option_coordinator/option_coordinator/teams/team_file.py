@@ -73,7 +73,10 @@ class TeamRobot(Part):
     """
 
     home: Point
-    skills: Annotated[tuple[Skill, ...], Strict(False)] = Field(default=(), max_length=100)
+    # Left out where empty, so that the digest of a team without skills is that of before.
+    skills: Annotated[tuple[Skill, ...], Strict(False)] = Field(
+        default=(), max_length=100, exclude_if=lambda skills: not skills
+    )
 
 
 class TeamRewards(Part):
