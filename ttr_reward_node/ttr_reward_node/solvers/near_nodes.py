@@ -19,7 +19,7 @@ from ttr_reward_node.kernels.step_tables import PARTS, trace_paths
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import Block, Derivatives, HeldPairs
 from ttr_reward_node.solvers.node_flags import BEYOND, plane, target_spans
-from ttr_reward_node.solvers.steps import Layout, Steps, slab_states
+from ttr_reward_node.solvers.steps import SMALL, Layout, Steps, slab_states
 from ttr_reward_node.solvers.threads import for_each, share
 
 _FURTHER = 1.5  # approximate extension of a step to find the target in the cell in which it ends [cells]
@@ -80,7 +80,8 @@ def find_near_nodes(
         nodes = candidates[begin : begin + max(1, block // pairs)]
         slabs, local = np.unique(nodes // inner, return_inverse=True)
         parts = np.array_split(slabs, math.ceil(len(slabs) * pairs / _BLOCK))
-        paths = _joined(for_each(lambda some: _paths(problem, layout, steps, derivatives, some, spacings), parts))
+        work = partial(_paths, problem, layout, steps, derivatives, spacings)
+        paths = _joined(for_each(work, parts, alone=problem.points < SMALL))
         outcomes = np.empty((len(nodes), pairs), np.float32)
         follow(nodes, local, paths, grid, table.long, boundary, rate, outcomes)
         matters = (outcomes != INTERPOLATE).any(axis=1)
@@ -125,8 +126,8 @@ def _paths(
     layout: Layout,
     steps: Steps,
     derivatives: Derivatives,
-    slabs: NDArray[np.int64],
     spacings: NDArray[np.float64],
+    slabs: NDArray[np.int64],
 ) -> Paths:
     """Recompute the paths of the steps from some slabs; the tables only hold their ends."""
     durations = steps.durations[steps.codes[slabs]]

@@ -24,8 +24,10 @@ from ttr_reward_node.problems.dependence import dependences, is_affine
 from ttr_reward_node.problems.problem import TimeToReachProblem
 from ttr_reward_node.solvers.held_motion import Derivatives, HeldPairs
 
-_BLOCK = 1 << 10  # number of steps computed at once, so that their arrays fit into the cache
+_BLOCK = 3 << 9  # number of steps computed at once, so that their arrays fit into the cache
 FEW_AXES, _MANY_AXES = 2, 4
+SMALL = 100_000
+"""Number of nodes below which one thread is enough: each has memory of its own, as much as a quarter of the tables."""
 
 
 class Gridded(Protocol):

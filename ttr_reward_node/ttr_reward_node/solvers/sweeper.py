@@ -15,10 +15,10 @@ from ttr_reward_node.kernels.slab_sweep import SlabHistory
 from ttr_reward_node.kernels.stencil import Grid, StepTable
 from ttr_reward_node.kernels.sweep import Nodes, RowHistory, SweepSettings
 from ttr_reward_node.solvers.near_nodes import NearNodes
-from ttr_reward_node.solvers.steps import Layout
+from ttr_reward_node.solvers.steps import SMALL, Layout
 from ttr_reward_node.solvers.threads import share
 
-_LARGE = 100_000, 1_000_000  # number of nodes above which two threads pay off, with steps per node or shared by a row
+_LARGE = SMALL, 1_000_000  # number of nodes above which two threads pay off, with steps per node or shared by a row
 _THICK = 8  # minimum nodes along the first axis in each part, since values across the border are one sweep old
 _SHORT = 48  # maximum number of nodes in a row for sweeps by slab; longer rows justify their own stencils
 _FULL_EVERY = 3  # period of the sweeps over single nodes that try all steps

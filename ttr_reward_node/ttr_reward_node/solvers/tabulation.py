@@ -13,6 +13,7 @@ from ttr_reward_node.solvers.durations import DurationTable
 from ttr_reward_node.solvers.held_motion import Block, Derivatives, HeldPairs
 from ttr_reward_node.solvers.steps import (
     FEW_AXES,
+    SMALL,
     Layout,
     Steps,
     blocks,
@@ -66,7 +67,7 @@ def make_steps(problem: TimeToReachProblem, layout: Layout) -> tuple[Steps, NDAr
             enter_steps(block.starts, paths, entered, some.start, i, tables)
             durations.enter(some, i, paths.h)
 
-    for_each(tabulate, blocks(layout.slabs, len(held.u)))
+    for_each(tabulate, blocks(layout.slabs, len(held.u)), alone=problem.points < SMALL)
     n_pairs = math.prod(shape[1:])
     codes, book = durations.codes()
     u, d = (np.repeat(each.reshape(disturbances, 1, shape[-1], -1), len(cells), axis=1) for each in held)

@@ -24,11 +24,17 @@ def share(work: Callable[[int, int], Result], parts: int) -> list[Result]:
         return list(pool.map(lambda part: work(part, parts), range(parts)))
 
 
-def for_each(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return the results of `work(item)` for each item, in order, computed on the available cores."""
+def for_each(work: Callable[[Item], Result], items: Iterable[Item], alone: bool = False) -> list[Result]:
+    """Return the results of `work(item)` for each item, in order, computed on the available cores.
+
+    Args:
+        work: Function to call.
+        items: What it is called with.
+        alone: Whether to use this thread alone, which saves the memory that each thread works in.
+    """
     items = list(items)
     threads = min(len(os.sched_getaffinity(0)), _MOST_THREADS, len(items))
-    if threads <= 1:  # a thread has memory of its own, which stays with the process
+    if alone or threads <= 1:  # a thread has memory of its own, which stays with the process
         return [work(item) for item in items]
     found: list[Any] = [None] * len(items)
     waiting = deque(enumerate(items))
