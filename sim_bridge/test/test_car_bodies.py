@@ -2,26 +2,10 @@ import math
 
 import numpy as np
 import pytest
+from yards import yard
 
-from ctrl_rl_core import NavigationTask, find_robot
+from ctrl_rl_core import find_robot
 from sim_bridge import PlanarFleet, SimulatedWorld, SimulationError, SimulationOptions
-
-
-def yard(robot):
-    content = {
-        "name": "yard",
-        "kind": "navigation",
-        "about": "A car in an empty yard.",
-        "source": "tests",
-        "system": {"model": "dubins_car"},
-        "robot": {"body": robot},
-        "arena": {"x": "-40.0 .. 40.0 m", "y": "-40.0 .. 40.0 m", "wall_thickness": "0.2 m"},
-        "start": {"x": "0.0 m", "y": "0.0 m", "theta": "0.0 rad"},
-        "goal": {"x": "100.0 m"},
-        "episode": {"steps": 100000, "time_step": "0.1 s"},
-        "rewards": {"goal": 1, "collision": -1},
-    }
-    return NavigationTask.model_validate(content)
 
 
 @pytest.fixture(params=["planar", "pybullet", "mujoco"])

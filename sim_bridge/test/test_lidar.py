@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from yards import yard
 
-from ctrl_rl_core import NavigationTask, find_robot, load_navigation_task
+from ctrl_rl_core import find_robot, load_navigation_task
 
 
 def room_ranges(origin, heading, bearings, largest):
@@ -144,20 +145,7 @@ ROBOTS = ["turtlebot3_burger", "turtlebot2", "turtlebot4", "jackal", "race_car",
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_lidar_sees_no_part_of_its_own_robot(simulate, robot):
     """Wheels taller than the lidar are parts of a robot as well."""
-    yard = {
-        "name": "yard",
-        "kind": "navigation",
-        "about": "A robot in an empty yard.",
-        "source": "tests",
-        "system": {"model": "dubins_car"},
-        "robot": {"body": robot},
-        "arena": {"x": "-40.0 .. 40.0 m", "y": "-40.0 .. 40.0 m", "wall_thickness": "0.2 m"},
-        "start": {"x": "0.0 m", "y": "0.0 m", "theta": "0.3 rad"},
-        "goal": {"x": "100.0 m"},
-        "episode": {"steps": 100000, "time_step": "0.1 s"},
-        "rewards": {"goal": 1, "collision": -1},
-    }
-    world = simulate(NavigationTask.model_validate(yard))
+    world = simulate(yard(robot, theta=0.3))
     reach = 2.0 * find_robot(robot).radius
     for command in ((0.0, 0.0), (0.3, 0.3)):  # wheels turn and are steered
         world.command(0, command)
