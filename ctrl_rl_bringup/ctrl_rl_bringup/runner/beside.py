@@ -6,7 +6,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ctrl_rl_core.processes import start_child
+from ctrl_rl_core.processes import end_child, start_child
 
 from ctrl_rl_bringup.runner.processes import executable_path
 from ctrl_rl_bringup.runner.stack import NodeSpec
@@ -26,9 +26,4 @@ def page_beside(robot: str) -> Iterator[None]:
     try:
         yield
     finally:
-        process.terminate()
-        try:
-            process.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_child(process, _STOP_S)

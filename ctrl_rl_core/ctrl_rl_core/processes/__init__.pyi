@@ -1,5 +1,6 @@
 from .background import Job as Job
 from .background import start_job as start_job
+from .children import end_child as end_child
 from .children import end_with_ros2 as end_with_ros2
 from .children import start_child as start_child
 from .limited import limited_memory as limited_memory

@@ -29,6 +29,16 @@ def start_child(command: Sequence[str | Path], **options: Any) -> subprocess.Pop
     return subprocess.Popen(command, preexec_fn=partial(_become_child, os.getpid()), **options)
 
 
+def end_child(process: subprocess.Popen[bytes], patience: float) -> None:
+    """End a process in good order, or by SIGKILL if it takes longer than `patience` [s]."""
+    process.terminate()
+    try:
+        process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
 def end_with_ros2() -> None:
     """Have this process receive SIGTERM when the `ros2 run` or `ros2 launch` that started it ends.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_prefix
-from ctrl_rl_core.processes import start_child
+from ctrl_rl_core.processes import end_child, start_child
 from ctrl_rl_learning.study import Study
 from ctrl_rl_safety.trials import CAR
 
@@ -92,12 +92,7 @@ def _node(package: str, executable: str, parameters: Mapping[str, Any], folder: 
     try:
         yield
     finally:
-        process.terminate()
-        try:
-            process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_child(process, _END_S)
 
 
 def _path(package: str, executable: str) -> Path:
