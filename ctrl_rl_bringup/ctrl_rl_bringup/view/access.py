@@ -48,7 +48,7 @@ class Access:
 
         Args:
             given: Token that a visitor gave.
-            now: Steady time [s]; now by default.
+            now: Steady time [s]; the present by default.
         """
         now = time.monotonic() if now is None else now
         with self._lock:  # visitors guess side by side

@@ -81,7 +81,7 @@ class Drawing:
             self._arrows.points = np.array((_arrow(scene.raw, 0.32), _arrow(scene.sent, 0.26)), np.float32)
 
     def _is_new(self, name: str, value: Any) -> bool:
-        """Tell whether a value has changed: a tuple by content, an array by identity."""
+        """Return whether a value has changed since it was drawn: a tuple by content, an array by identity."""
         before = self._shown.get(name)
         if before is value or (isinstance(value, tuple) and before == value):
             return False

@@ -1,4 +1,4 @@
-"""The page in the browser: the drawn scene, its texts, and the panel of visitors who have the token."""
+"""The page in the browser: the drawn scene, its texts, and the panel that a visitor with the token gets."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ Request = SendGoal | StopRobot | ReleaseStop | UsePolicy
 
 
 class PageError(CtrlRlError):
-    """The page cannot be served."""
+    """Nothing can listen on the page's address."""
 
 
 class _Server(viser.ViserServer):
